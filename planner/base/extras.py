@@ -15,6 +15,7 @@ EXTRAS = {
     "distributed": "cluster",
     "jupyterlab": "notebooks",
     "lxml": "meshes",
+    "ezdxf": "dxf",
     "networkx": "meshes",
     "xacro": "xacro",
     "xacrodoc": "xacro",

@@ -131,7 +131,8 @@ def _layers(answers: Answers) -> str:
         size = _list(answers["size_mm"])
         lines.append(f"  source: {{pattern: {answers['pattern']}, cell_mm: {answers['cell_mm']}, size_mm: {size}}}")
     elif what == "drawing":
-        lines.append(f"  source: {{svg: {yaml_text(answers['file'])}, width_mm: {answers['svg_width_mm']}}}")
+        kind = "dxf" if str(answers["file"]).lower().endswith(".dxf") else "svg"
+        lines.append(f"  source: {{{kind}: {yaml_text(answers['file'])}, width_mm: {answers['svg_width_mm']}}}")
     elif what == "wing":
         thick = int(answers["naca"][2:]) / 100 * answers["chord_mm"]
         up = 0.5 * thick + WING_ABOVE_MM

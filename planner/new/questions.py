@@ -28,6 +28,7 @@ from planner.problem.layers import AerofoilSpec
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import BeadSpec, ProcessSpec
+from planner.toolpath.dxf.reader import read_drawing
 from planner.toolpath.gcode.reader import text_of
 from planner.toolpath.svg.document import read_document
 
@@ -210,8 +211,14 @@ def _pattern(value: Callable[..., Any], folder: Path) -> None:
     _body(value, PATTERN_ON)
 
 
+def _read_drawing(path: Path) -> object:
+    if path.suffix.lower() == ".dxf":
+        return read_drawing(path, _plainly)
+    return read_document(path, _plainly)
+
+
 def _drawing(value: Callable[..., Any], folder: Path) -> None:
-    value("file", "the drawing, an SVG file", "", file_in(folder, lambda path: read_document(path, _plainly)))
+    value("file", "the drawing, an SVG or DXF file", "", file_in(folder, _read_drawing))
     value("svg_width_mm", "width of the drawing on the part [mm]", "60", field_of(SvgSpec, "width"))
     _body(value, DRAWING_ON)
 

@@ -17,7 +17,7 @@ from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, Complaint, InputError
 from planner.planning.options import add_problem, add_set
 from planner.problem import Problem, load_problem
-from planner.problem.drawings import LayersSpec, ProjectedLayersSpec
+from planner.problem.drawings import ProjectedLayersSpec, WrappedLayersSpec
 from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.rewrite import paths_in
 
@@ -72,7 +72,7 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
 def is_quick(problem: Problem) -> bool:
     """Whether one layer of a problem's toolpath is made in a fraction of a second."""
     layers, body = problem.layers, None if problem.part is None else problem.part.body
-    if isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec, LayersSpec)):
+    if isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec, WrappedLayersSpec)):
         return True
     return isinstance(layers, ProjectedLayersSpec) and body not in ("mesh", "step")
 
@@ -146,6 +146,10 @@ def _read(problem: Problem, field: str, path: Path) -> None:
         from planner.problem.mesh_files import read_corners
 
         read_corners(path, where)
+    elif field.endswith(".dxf"):
+        from planner.toolpath.dxf.reader import read_drawing
+
+        read_drawing(path, where)
     else:
         from planner.toolpath.svg.document import read_document
 

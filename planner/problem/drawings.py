@@ -8,11 +8,12 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 from pydantic import BeforeValidator, model_validator
 
 from planner.problem.fields import PATH, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.part import Unit, unit_key
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe
 
 # Keys of layers.source, each of which names a source: only one may be given.
-SOURCE_NAMES = ("svg", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
+SOURCE_NAMES = ("svg", "dxf", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
 
 BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation
 PatternName = Literal["honeycomb", "zigzag", "squares", "concentric"]
@@ -49,11 +50,41 @@ class SourceSection(Section):
         return value
 
 
+NARROWEST_MM, WIDEST_MM = 0.1, 15_000.0  # of a drawing
+
+
 class SvgSpec(SourceSection):
     """A drawing whose lines become beads."""
 
     svg: Annotated[Path, PATH] = key("svg", "the drawing, counted from the folder of the problem file")
-    width: Annotated[float, Quantity("mm", 0.1, 15_000)] = key("width_mm", "width of the drawing on the part [mm]")
+    width: Annotated[float, Quantity("mm", NARROWEST_MM, WIDEST_MM)] = key(
+        "width_mm", "width of the drawing on the part [mm]"
+    )
+    crumbs: Crumbs = crumbs_key(_CURVES)
+
+
+def _some_names(value: Any) -> Any:
+    if value is not None and (not isinstance(value, tuple) or not all(isinstance(name, str) for name in value)):
+        raise refusal(f"must be a list of names, not {describe(value)}", "for example [outline, ribs]")
+    if value == ():
+        raise refusal("names no layer", "leave it out for all layers that are on")
+    return value
+
+
+class DxfSpec(SourceSection):
+    """A drawing in a DXF file whose lines become beads."""
+
+    dxf: Annotated[Path, PATH] = key("dxf", "the drawing (DXF), counted from the folder of the problem file")
+    unit: Unit | None = unit_key()
+    width: Annotated[float, Quantity("mm", NARROWEST_MM, WIDEST_MM)] | None = key(
+        "width_mm", "width of the drawing on the part [mm]; default: as it is drawn", None
+    )
+    layers: Annotated[tuple[str, ...] | None, BeforeValidator(_some_names)] = key(
+        "layers", "names of the drawing's layers that are printed; default: all that are on", None
+    )
+    join: Annotated[float, Quantity("mm", 0, 10)] = key(
+        "join_mm", "lines of a layer whose ends are no farther apart are one [mm]", 0.01
+    )
     crumbs: Crumbs = crumbs_key(_CURVES)
 
 
@@ -73,16 +104,27 @@ class PatternSpec(SourceSection):
     crumbs: Crumbs = crumbs_key(_CURVES)
 
 
-class LayersSpec(Section):
+class WrappedLayersSpec(Section):
     """What is printed, and how often: a drawing wrapped around the part."""
 
     bodies: ClassVar[tuple[str, ...]] = ("cylinder",)  # what they can be laid on
 
-    source: SvgSpec = key("source", "where the curves come from")
     wrap: Annotated[Literal["cylinder"], one_of(("cylinder",))] = key("wrap", "the surface they are laid on")
     count: Annotated[int, Quantity("", 1, 10_000, whole=True)] = key("count", "number of layers")
     height: Thickness = key("height_mm", "height of a layer [mm]")
     material: MaterialName | None = material_key("all beads")
+
+
+class LayersSpec(WrappedLayersSpec):
+    """A drawing (SVG) wrapped around the part."""
+
+    source: SvgSpec = key("source", "where the curves come from")
+
+
+class WrappedDxfSpec(WrappedLayersSpec):
+    """A drawing (DXF) wrapped around the part."""
+
+    source: DxfSpec = key("source", "where the curves come from")
 
 
 class OnPartSpec(Section):
@@ -139,6 +181,12 @@ class ProjectedDrawingSpec(ProjectedLayersSpec):
     """A drawing projected onto the part."""
 
     source: SvgSpec = key("source", "where the curves come from")
+
+
+class ProjectedDxfSpec(ProjectedLayersSpec):
+    """A drawing (DXF) projected onto the part."""
+
+    source: DxfSpec = key("source", "where the curves come from")
 
 
 class ProjectedPatternSpec(ProjectedLayersSpec):

@@ -17,9 +17,12 @@ from planner.problem.drawings import (
     PatternSpec,
     ProjectedCurvesSpec,
     ProjectedDrawingSpec,
+    ProjectedDxfSpec,
     ProjectedLayersSpec,
     ProjectedPatternSpec,
     SourceSection,
+    WrappedDxfSpec,
+    WrappedLayersSpec,
     crumbs_key,
 )
 from planner.problem.fields import (
@@ -448,6 +451,8 @@ def _aliases(model: type[Section]) -> list[str]:
 KINDS = (
     _Kind("[svg]", LayersSpec, ("svg",)),
     _Kind("[projected]", ProjectedDrawingSpec, ("svg",)),
+    _Kind("[dxf]", WrappedDxfSpec, ("dxf",)),
+    _Kind("[projected dxf]", ProjectedDxfSpec, ("dxf",)),
     _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
     _Kind("[curves]", ProjectedCurvesSpec, ("curves",)),
     _Kind("[core]", CoreLayersSpec, ("pattern",)),
@@ -479,6 +484,8 @@ def _kind_of_layers(value: Any) -> str:
 AnyLayersSpec = Annotated[
     Annotated[LayersSpec, Tag("[svg]")]
     | Annotated[ProjectedDrawingSpec, Tag("[projected]")]
+    | Annotated[WrappedDxfSpec, Tag("[dxf]")]
+    | Annotated[ProjectedDxfSpec, Tag("[projected dxf]")]
     | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
     | Annotated[ProjectedCurvesSpec, Tag("[curves]")]
     | Annotated[CoreLayersSpec, Tag("[core]")]
@@ -512,6 +519,6 @@ def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
             f"these layers go with {' or '.join(layers.bodies)}; layers.source.faces with step",
             item=part.body,
         )
-    way, other = ("wrap", "project: z") if isinstance(layers, LayersSpec) else ("project", "wrap: cylinder")
+    way, other = ("wrap", "project: z") if isinstance(layers, WrappedLayersSpec) else ("project", "wrap: cylinder")
     hint = f"layers.{way} goes with {' or '.join(layers.bodies)}; layers.{other} with {part.body}"
     raise refusal(f"layers.{way} and a {part.body} do not go together", hint, item=part.body)

@@ -138,9 +138,9 @@ Faces = Annotated[tuple[Face, ...] | Literal["all"], BeforeValidator(_faces)]
 
 
 class StepSpec(Section):
-    """A body from a STEP file: faces, with material beneath them."""
+    """A body from a STEP or IGES file: faces, with material beneath them."""
 
-    file: Annotated[Path, PATH] = key("file", "the STEP file, counted from the folder of the problem file")
+    file: Annotated[Path, PATH] = key("file", "the file (STEP or IGES), counted from the folder of the problem file")
     faces: Faces = key("faces", f"the faces that are there: {ANY_FACES}", "all")
     normals: Annotated[Literal["outward", "inward"], one_of(("outward", "inward"))] = key(
         "normals", "where the file's faces look: out of the material, or into it, as open sheets may", "outward"
@@ -148,6 +148,9 @@ class StepSpec(Section):
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
     rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
+    )
+    sew: Annotated[float, Quantity("mm", 1e-4, 1)] = key(
+        "sew_mm", "how far apart edges of loose faces, as of IGES, may lie and be one [mm]", 1e-2
     )
 
 
@@ -162,7 +165,7 @@ class PartSpec(Section):
     plane: PlaneSpec | None = key("plane", "a level or inclined plane; default: none", None)
     corrugation: CorrugationSpec | None = key("corrugation", "a sheet of even waves; default: none", None)
     mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
-    step: StepSpec | None = key("step", "faces of a STEP file; default: none", None)
+    step: StepSpec | None = key("step", "faces of a STEP or IGES file; default: none", None)
 
     @property
     def body(self) -> str:

@@ -8,7 +8,14 @@ from importlib import import_module
 from typing import Any
 
 from planner.problem import Problem
-from planner.problem.drawings import LayersSpec, ProjectedCurvesSpec, ProjectedDrawingSpec, ProjectedPatternSpec
+from planner.problem.drawings import (
+    LayersSpec,
+    ProjectedCurvesSpec,
+    ProjectedDrawingSpec,
+    ProjectedDxfSpec,
+    ProjectedPatternSpec,
+    WrappedDxfSpec,
+)
 from planner.problem.layers import (
     AerofoilLayersSpec,
     CoreLayersSpec,
@@ -23,6 +30,8 @@ from planner.toolpath.bead import Toolpath
 # second together.
 SOURCES: dict[type, tuple[str, str]] = {
     LayersSpec: ("wrapped", "wrap_drawing"),
+    WrappedDxfSpec: ("wrapped", "wrap_drawing"),
+    ProjectedDxfSpec: ("substrate.projection", "project_curves"),
     ProjectedDrawingSpec: ("substrate.projection", "project_curves"),
     ProjectedPatternSpec: ("substrate.projection", "project_curves"),
     ProjectedCurvesSpec: ("substrate.projection", "project_curves"),

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from planner.base.arrays import Array
 from planner.problem import Problem
-from planner.problem.drawings import LayersSpec
+from planner.problem.drawings import DxfSpec, LayersSpec, WrappedDxfSpec
 from planner.toolpath.bead import Bead, Toolpath, cylinder_shape
+from planner.toolpath.dxf.reader import read_dxf
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
     PlaneCurve,
@@ -83,14 +85,19 @@ def wrap_layer(
     return beads
 
 
-def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
+def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpath:
     """Round a drawing's corners, order its beads and lay the layers around the part."""
     part = problem.part
     if part is None or part.cylinder is None:
         raise problem.error("part", "is missing", "the body to wrap around: cylinder")
     process = problem.process
     cylinder = Cylinder(part.cylinder.radius, part.cylinder.height, np.asarray(part.cylinder.centre))
-    paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
+    told: tuple[str, ...] = ()
+    if isinstance(spec.source, DxfSpec):
+        where = partial(problem.error, "layers.source.dxf")
+        paths, told = read_dxf(spec.source, process.chord_tolerance, where)
+    else:
+        paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
     _check_fit(problem, paths, cylinder)
 
     # On the outermost layer x is longest. Rounded in that layer's own metric once, all layers hold the
@@ -113,7 +120,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec) -> Toolpath:
         curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
     specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
-    return Toolpath(tuple(beads), cylinder, shape, clipped.notes, left_out=specks)
+    return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks)
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

@@ -1,4 +1,4 @@
-"""Beads that cover faces of a STEP file, in layers along the faces' normals.
+"""Beads that cover faces of a STEP or IGES file, in layers along the faces' normals.
 
 A bead may cross from one face to another where these meet without an edge to be felt. The first layer's points and
 normals come exactly from the faces.
@@ -27,7 +27,7 @@ from planner.toolpath.interpolation import TooRough, calm_path, interpolate
 from planner.toolpath.ordering import nearest_first
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
-from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
+from planner.toolpath.step.files import Damaged, Face, choose_faces, read_faces
 from planner.toolpath.step.sampling import TooMany, sample_faces
 from planner.toolpath.step.top import faces_shape
 from planner.toolpath.task import roll_zeros
@@ -212,7 +212,7 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
     if part is None or part.step is None:
         raise problem.error("part", "is missing", "the body whose faces are covered: step")
     spacing = spec.source.spacing
-    faces = read_step(part.step, _QUARTER * spacing, partial(problem.error, "part.step.file"))
+    faces, notes = read_faces(part.step, _QUARTER * spacing, partial(problem.error, "part.step.file"))
     known = [(face.number, face.name) for face in faces]
     try:
         numbers = choose_faces(spec.source.faces, known, "part.step")
@@ -236,7 +236,8 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
         )
     beads, tracks = lay_layers(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
     surface = FaceLayers(FaceBody.of(faces), spec.height, tuple(tracks))
-    notes = (f"{dots} samples or lines shorter than the bead is wide are left out",) if dots else ()
+    if dots:
+        notes = (*notes, f"{dots} samples or lines shorter than the bead is wide are left out")
     return Toolpath(tuple(beads), surface, faces_shape(faces), notes)
 
 

@@ -1,4 +1,4 @@
-"""Faces of a STEP file in the part frame, chosen by name or number.
+"""Faces of a STEP or IGES file in the part frame, chosen by name or number.
 
 Another process reads the file, because a damaged one may end its reader.
 """
@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +33,10 @@ LONGEST = 300  # s that a file may take
 _READER = "planner.toolpath.step.reader"
 _BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
 _ENDS = 2048  # bytes of a file in which they stand
+_MARK = 72  # column of an IGES file's lines, from 0, that names their section: S at first, T in the last one
+_COMPRESSED, _BINARY = b"C", b"B"  # there, for the forms of IGES that hardly a program writes
+IGES_ENDINGS = (".igs", ".iges")
+_KINDS = "STEP (.step, .stp) or IGES (.igs, .iges)"
 
 
 @dataclass(frozen=True)
@@ -100,14 +104,26 @@ def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) ->
 _ROOT = Path(__file__).resolve().parents[3]  # from where that is found, whatever the present folder
 
 
+class FacesRead(NamedTuple):
+    """Faces of a file, and sentences about what of it was not read, or was changed."""
+
+    faces: tuple[Face, ...]
+    notes: tuple[str, ...]
+
+
 def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...]:
+    """The faces alone of `read_faces`."""
+    return read_faces(spec, apart, where).faces
+
+
+def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
     """The faces `spec.faces` of a file, in part frame; points of their edges at most `apart` [m] from each other.
 
     `where(reason, hint=...)` makes the InputError for what is wrong with the file.
     """
     name = spec.file.name
     check_step(spec.file, where)
-    request = {"file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3}
+    request = {"file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3}
     answer = _answer(request, name, where)
     if "reason" in answer:
         raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
@@ -120,16 +136,34 @@ def read_step(spec: StepSpec, apart: float, where: Complaint) -> tuple[Face, ...
         )
         if not finite or not (np.abs(poles[:, :, :3] / poles[:, :, 3:]) <= FARTHEST).all():
             raise where(f"{face.title} of {name} is no surface, or farther than {FARTHEST:g} m from the origin")
-    return tuple(faces)
+    return FacesRead(tuple(faces), tuple(f"part.step: {name}: {note}" for note in answer["notes"]))
 
 
 def check_step(path: Path, where: Complaint) -> None:
-    """Raise the InputError, made by `where`, of a file that is missing, no STEP file, or cut off."""
+    """Raise the InputError, made by `where`, of a file that is missing, neither STEP nor IGES, or cut off."""
     data = read_bytes(path, LARGEST_FILE, where)
+    name = path.name
+    if is_iges(data):
+        last = data.rstrip().rsplit(b"\n", 1)[-1]
+        if last[_MARK : _MARK + 1] != b"T":
+            raise where(f"{name} is damaged: its end is missing, the line with T in column 73", hint="export it anew")
+        return
+    if path.suffix.lower() in IGES_ENDINGS and _BEGIN not in data[:_ENDS]:
+        if data[_MARK : _MARK + 1] in (_COMPRESSED, _BINARY):
+            raise where(
+                f"{name} is IGES in its binary or compressed form", hint="export it as plain (fixed ASCII) IGES"
+            )
+        raise where(f"{name} is no IGES file: its first line has no S in column 73", hint=f"export it as {_KINDS}")
     if _BEGIN not in data[:_ENDS]:
-        raise where(f"{path.name} is no STEP file: it does not begin with {_BEGIN.decode()}", hint="export it as STEP")
+        raise where(f"{name} is no STEP file: it does not begin with {_BEGIN.decode()}", hint=f"export it as {_KINDS}")
     if _END not in data[-_ENDS:]:
-        raise where(f"{path.name} is damaged: its end is missing", hint="export it anew")
+        raise where(f"{name} is damaged: its end is missing", hint="export it anew")
+
+
+def is_iges(data: bytes) -> bool:
+    """Whether a file is IGES in fixed ASCII form, whatever it is called: its first line has S in column 73, and a number."""
+    line = data[:_ENDS].partition(b"\n")[0].rstrip()
+    return line[_MARK : _MARK + 1] == b"S" and line[_MARK + 1 :].strip().isdigit()
 
 
 def _answer(request: dict[str, Any], name: str, where: Complaint) -> dict[str, Any]:

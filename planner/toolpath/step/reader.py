@@ -1,4 +1,4 @@
-"""Reads faces from a STEP file with Open CASCADE: each an exact B-spline surface with the curves that trim it.
+"""Reads faces from a STEP or IGES file with Open CASCADE: each an exact B-spline surface with the curves that trim it.
 
 It runs as a process of its own (`files.py`): a damaged file can end it at any place, without a word.
 """
@@ -17,77 +17,37 @@ from OCP.BRep import BRep_Builder, BRep_Tool
 from OCP.BRepAdaptor import BRepAdaptor_Curve, BRepAdaptor_Curve2d
 from OCP.BRepBuilderAPI import BRepBuilderAPI_NurbsConvert, BRepBuilderAPI_Sewing
 from OCP.BRepTools import BRepTools, BRepTools_WireExplorer
-from OCP.collections import Array1_double, IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher
+from OCP.collections import Array1_double
 from OCP.GeomAbs import GeomAbs_Shape
-from OCP.IFSelect import IFSelect_ReturnStatus
-from OCP.Message import Message
 from OCP.Standard import Standard_Failure
-from OCP.STEPControl import STEPControl_Reader
 from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
-from OCP.TopExp import TopExp, TopExp_Explorer
+from OCP.TopExp import TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
 from planner.base.arrays import Array
 from planner.toolpath.step.files import Damaged, choose_faces
+from planner.toolpath.step.shapes import REPAIR, all_faces, subshapes
 
-MOST_FACES = 5000  # read and converted in some 20 s
 _FEWEST = 3  # points of a loop
-_SEWN = 1e-2  # mm between edges that are one, where the file does not say so
 _CHORD = 2e-3  # mm, by how much the straight lines between an edge's points may leave it
 _MOST_POINTS = 4000  # of an edge
 _LOOKS = 65  # places of an edge at which its bend is measured
-_WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
 
 
 def read(request: dict[str, Any]) -> dict[str, Any]:
-    """Arrays of the faces that a request names (see `main`): of face k `k.poles` and the like, and `faces`, how many.
+    """Arrays of the faces that a request names (see `main`): of face k `k.poles` and the like, `faces`, how many, and `notes`.
 
     Raises Damaged.
     """
     name = Path(request["file"]).name
     try:
-        raw, names = _all_faces(request["file"])
-        chosen = choose_faces(request["faces"], [(i + 1, title) for i, title in enumerate(names)], name)
-        faces = _converted([raw[i - 1] for i in chosen])
-        return _arrays(faces, chosen, [names[i - 1] for i in chosen], request["apart_mm"])
+        found = all_faces(request["file"])
+        chosen = choose_faces(request["faces"], [(i + 1, title) for i, title in enumerate(found.names)], name)
+        faces, notes = _converted([found.faces[i - 1] for i in chosen], found.loose, request["sew_mm"])
+        arrays = _arrays(faces, chosen, [found.names[i - 1] for i in chosen], request["apart_mm"])
+        return arrays | {"notes": [*found.notes, *notes]}
     except Standard_Failure as error:
-        raise Damaged(f"{name} is damaged: {error}", _REPAIR) from error
-
-
-_REPAIR = "repair it in a CAD program, and export it anew"
-
-
-def _all_faces(file: str) -> tuple[list[Any], list[str]]:
-    """All faces of a file, in mm, and their names."""
-    name = Path(file).name
-    messages = Message.DefaultMessenger_s()
-    for printer in list(messages.Printers()):
-        messages.RemovePrinter(printer)
-    reader = STEPControl_Reader()
-    if reader.ReadFile(file) != IFSelect_ReturnStatus.IFSelect_RetDone:
-        raise Damaged(f"{name} is damaged: it cannot be read as STEP", "export it anew")
-    reader.TransferRoots()
-    faces, names = [], []
-    if reader.NbShapes():
-        transfer = reader.WS().TransferReader()
-        known = _subshapes(reader.OneShape(), TopAbs_ShapeEnum.TopAbs_FACE)
-        for i in range(1, known.Size() + 1):
-            face = TopoDS.Face(known.FindKey(i))
-            entity = transfer.EntityFromShapeResult(face, _WHEREVER)
-            faces.append(face)
-            names.append(entity.Name().ToCString() if entity is not None and hasattr(entity, "Name") else "")
-    if not faces:
-        raise Damaged(f"{name} holds no face", "export a body or a sheet, not curves or a drawing")
-    if len(faces) > MOST_FACES:
-        raise Damaged(f"{name} has {len(faces)} faces, more than {MOST_FACES}", "export the part without its details")
-    return faces, names
-
-
-def _subshapes(shape: Any, kind: Any) -> Any:
-    """The subshapes of a kind, each once, numbered from 1."""
-    found = IndexedMap_TopoDS_Shape_TopTools_ShapeMapHasher()
-    TopExp.MapShapes_s(shape, kind, found)
-    return found
+        raise Damaged(f"{name} is damaged: {error}", REPAIR) from error
 
 
 def _compound(faces: Sequence[Any]) -> Any:
@@ -98,24 +58,34 @@ def _compound(faces: Sequence[Any]) -> Any:
     return compound
 
 
-def _converted(faces: list[Any]) -> list[Any]:
-    """The faces with B-spline surfaces; those that only touch share their edges thereafter."""
-    if len(faces) > 1 and _apart(faces):
-        sewing = BRepBuilderAPI_Sewing(_SEWN)
+def _converted(faces: list[Any], loose: bool, sew: float) -> tuple[list[Any], list[str]]:
+    """The faces with B-spline surfaces, and what is to be told; those that only touch share their edges thereafter.
+
+    loose: their file joins none; else they are sewn only where one shares no edge. sew: mm between edges that are one.
+    """
+    notes = []
+    if len(faces) > 1 and (loose or _apart(faces)):
+        sewing = BRepBuilderAPI_Sewing(sew)
         for face in faces:
             sewing.Add(face)
         sewing.Perform()
-        sewn = _subshapes(sewing.SewedShape(), TopAbs_ShapeEnum.TopAbs_FACE)  # these know which way they look
-        faces = [TopoDS.Face(sewn.FindKey(sewn.FindIndex(sewing.Modified(face)))) for face in faces]
-    converted = _subshapes(BRepBuilderAPI_NurbsConvert(_compound(faces), True).Shape(), TopAbs_ShapeEnum.TopAbs_FACE)
-    return [TopoDS.Face(converted.FindKey(i + 1)) for i in range(len(faces))]
+        sewn = subshapes(sewing.SewedShape(), TopAbs_ShapeEnum.TopAbs_FACE)  # these know which way they look
+        places = [sewn.FindIndex(sewing.Modified(face)) for face in faces]
+        lost = [face for face, place in zip(faces, places, strict=True) if not place]
+        faces = [TopoDS.Face(sewn.FindKey(place)) for place in places if place] if not lost else faces
+        joined, free = sewing.NbContigousEdges(), sewing.NbFreeEdges()
+        note = f"{len(faces)} loose faces could not be sewn" if lost else f"{len(faces)} loose faces were sewn"
+        note += f" at {joined} edge{'' if joined == 1 else 's'}, within {sew:g} mm"
+        notes.append(note + (f"; {free} are free: part.step.sew_mm joins edges farther apart" if free else ""))
+    converted = subshapes(BRepBuilderAPI_NurbsConvert(_compound(faces), True).Shape(), TopAbs_ShapeEnum.TopAbs_FACE)
+    return [TopoDS.Face(converted.FindKey(i + 1)) for i in range(len(faces))], notes
 
 
 def _apart(faces: Sequence[Any]) -> bool:
     """Whether a face shares no edge with any other."""
-    maps = [_subshapes(face, TopAbs_ShapeEnum.TopAbs_EDGE) for face in faces]
+    maps = [subshapes(face, TopAbs_ShapeEnum.TopAbs_EDGE) for face in faces]
     count: dict[int, int] = {}
-    shared = _subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
+    shared = subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
     index = [[shared.FindIndex(edges.FindKey(i)) for i in range(1, edges.Size() + 1)] for edges in maps]
     for numbers in index:
         for number in numbers:
@@ -124,7 +94,7 @@ def _apart(faces: Sequence[Any]) -> bool:
 
 
 def _arrays(faces: Sequence[Any], numbers: Sequence[int], names: Sequence[str], apart: float) -> dict[str, Any]:
-    known = _subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
+    known = subshapes(_compound(faces), TopAbs_ShapeEnum.TopAbs_EDGE)
     out: dict[str, Any] = {"faces": len(faces), "numbers": list(numbers), "names": list(names)}
     sides = []
     senses: dict[int, list[tuple[int, int]]] = {}  # of each edge: faces on it, and in which direction they run along it
@@ -144,7 +114,7 @@ def _arrays(faces: Sequence[Any], numbers: Sequence[int], names: Sequence[str], 
                 places.append(at[:-1])
                 on.append(np.full(len(at) - 1, index, dtype=np.int64))
             if sum(len(place) for place in places) < _FEWEST:
-                raise Damaged(f"face {numbers[k]} has no edge around it", _REPAIR)
+                raise Damaged(f"face {numbers[k]} has no edge around it", REPAIR)
             out |= {f"{k}.loop.{w}": np.vstack(places), f"{k}.edges.{w}": np.concatenate(on)}
         out[f"{k}.loops"] = len(wires)
     out["sides"] = [side * flip for side, flip in zip(sides, _flips(len(faces), senses), strict=True)]
@@ -252,7 +222,7 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
 
 
 def main() -> int:
-    """Answer a request, JSON on standard input (file, faces, apart_mm), with arrays as NPZ on standard output."""
+    """Answer a request, JSON on standard input (file, faces, apart_mm, sew_mm), with arrays as NPZ on standard output."""
     request = json.load(sys.stdin)
     try:
         answer = read(request)

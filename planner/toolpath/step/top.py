@@ -70,14 +70,15 @@ class NotSmooth(ValueError):
 
 @dataclass(frozen=True)
 class UpperFaces:
-    """Faces that look upwards somewhere: samples of them, and the tree of their x and y."""
+    """Faces that look upwards somewhere: samples of them, the tree of their x and y, and what is told of their file."""
 
     body: FaceBody
     samples: FacePlaces
     tree: cKDTree
+    notes: tuple[str, ...] = ()
 
     @classmethod
-    def of(cls, faces: Sequence[Face]) -> UpperFaces | None:
+    def of(cls, faces: Sequence[Face], notes: tuple[str, ...] = ()) -> UpperFaces | None:
         """The faces, at least one; None where none looks upwards."""
         body = FaceBody.of(faces)
         places = body.at(body.sample_face, body.sample_uv)
@@ -88,7 +89,7 @@ class UpperFaces:
         if not up.any():
             return None
         samples = FacePlaces(places.points[up], places.normals[up], places.face[up], places.uv[up])
-        return cls(body, samples, cKDTree(samples.points[:, :2]))
+        return cls(body, samples, cKDTree(samples.points[:, :2]), notes)
 
     def top(self, plane: Array) -> tuple[Array, Array]:
         """Heights (n,) of the uppermost faces at x, y (n, 2), and upward components (n,) of their normals; NaN beside them.

@@ -44,11 +44,15 @@ class Cut:
 
 @dataclass(frozen=True)
 class Clipped:
-    """Paths that can be printed, and what was cut from them; `drawn` is the length of all that was drawn [m]."""
+    """Paths that can be printed, and what was cut from them; `drawn` is the length of all that was drawn [m].
+
+    told: what is to be told of the file that they come from
+    """
 
     paths: tuple[PlanePath, ...]
     drawn: float
     cuts: tuple[Cut, ...] = ()
+    told: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, paths: Iterable[PlanePath], width: float) -> Clipped:
@@ -90,9 +94,9 @@ class Clipped:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was left out, in words."""
+        """What is told of the file, and what was left out, in words."""
         if not self.cuts:
-            return ()
+            return self.told
         parts = []
         for why, words in _WORDS.items():
             pieces = [cut for cut in self.cuts if cut.why == why]
@@ -101,7 +105,10 @@ class Clipped:
                 count = "1 piece" if len(pieces) == 1 else f"{len(pieces)} pieces, the first"
                 total = sum(length(cut.points) for cut in pieces) * 1e3
                 parts.append(f"{total:.1f} mm {words} ({count} of path {pieces[0].name!r} at x {x:.1f}, y {y:.1f} mm)")
-        return (f"layers.source: {self.share:.2%} of the length left out, {'; '.join(parts)}",)
+        return (
+            *self.told,
+            f"layers.source: {self.share:.2%} of the length left out, {'; '.join(parts)}",
+        )
 
     def drawn_on(self, plane: Array, heights: Array) -> tuple[Array, ...]:
         """What was cut, as lines (n, 3) to be drawn: as high as the nearest of what is printed, plane (m, 2), heights (m)."""

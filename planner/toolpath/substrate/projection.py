@@ -18,10 +18,12 @@ from planner.base.errors import Complaint, InputError
 from planner.problem import Problem
 from planner.problem.drawings import (
     CurvesSpec,
+    DxfSpec,
     OnPartSpec,
     PatternSpec,
     ProjectedCurvesSpec,
     ProjectedDrawingSpec,
+    ProjectedDxfSpec,
     ProjectedPatternSpec,
     SvgSpec,
 )
@@ -29,6 +31,7 @@ from planner.problem.mesh_files import read_facets
 from planner.problem.mesh_repair import facing_alike
 from planner.problem.part import MeshSpec, PartSpec, StepSpec
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.dxf.reader import read_dxf
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
@@ -40,7 +43,7 @@ from planner.toolpath.plane_paths import (
     round_corners,
     seam_on_smooth_part,
 )
-from planner.toolpath.step.files import read_step
+from planner.toolpath.step.files import read_faces
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
 from planner.toolpath.substrate.bodies import Facing, SubstrateBody, exact_body
 from planner.toolpath.substrate.clipping import (
@@ -180,7 +183,7 @@ class Substrate:
 
 
 def project_curves(
-    problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec | ProjectedCurvesSpec
+    problem: Problem, spec: ProjectedDrawingSpec | ProjectedDxfSpec | ProjectedPatternSpec | ProjectedCurvesSpec
 ) -> Toolpath:
     """Round the corners of plane paths, order them and lay their layers on the part.
 
@@ -205,22 +208,26 @@ def project_curves(
     if spec.facing is not None and isinstance(body, MeshTop):
         substrate = substrate.facing(rows, spec.facing, body.facets)
     toolpath = _laid(substrate, rows, bead.width, bead.height)
+    toolpath = replace(toolpath, notes=(*toolpath.notes, *clipped.notes))
     if not clipped.cuts:
         return toolpath
     plane = np.vstack([curve.points for curve in curves])
     left_out = clipped.drawn_on(plane, substrate.project(plane, 0)[0][:, 2])
-    return replace(toolpath, notes=(*toolpath.notes, *clipped.notes), left_out=left_out)
+    return replace(toolpath, left_out=left_out)
 
 
 def _plane_curves(
-    problem: Problem, spec: ProjectedDrawingSpec | ProjectedPatternSpec | ProjectedCurvesSpec, most: float
+    problem: Problem,
+    spec: ProjectedDrawingSpec | ProjectedDxfSpec | ProjectedPatternSpec | ProjectedCurvesSpec,
+    most: float,
 ) -> tuple[Substrate, Clipped, list[PlaneCurve]]:
     """The part and the rounded curves on it, and what was cut from them; TooMuchCut beyond a share `most` of the length."""
     process, source, part = problem.process, spec.source, problem.part
     if part is None:
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
     width, least = process.bead.width, np.cos(np.radians(STEEPEST))
-    clipped = Clipped.of([placed(path, spec) for path in paths_of(problem, source)], width)
+    paths, told = paths_and_notes(problem, source)
+    clipped = replace(Clipped.of([placed(path, spec) for path in paths], width), told=told)
     clipped.check(most)
     body, clipped = _body(problem, part, clipped, most)
     substrate = Substrate(body, spec.height, spec.offset == "z")
@@ -256,27 +263,37 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     grown = replace(substrate, layers=tuple(bead.layer for bead in beads))
     body = substrate.body
     if not isinstance(body, MeshTop):
-        return Toolpath(tuple(beads), grown, body.shape())
+        return Toolpath(tuple(beads), grown, body.shape(), body.faces.notes if isinstance(body, FaceTop) else ())
     notes = (f"part.mesh: {body.words}",) if body.words else ()
     return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
 
 
-def _size_key(source: SvgSpec | PatternSpec | CurvesSpec) -> str:
+def _size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> str:
     if isinstance(source, CurvesSpec):
         return "layers.source.curves"
-    return "layers.source.width_mm" if isinstance(source, SvgSpec) else "layers.source.size_mm"
+    return "layers.source.width_mm" if isinstance(source, (SvgSpec, DxfSpec)) else "layers.source.size_mm"
 
 
-def paths_of(problem: Problem, source: SvgSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
-    """The plane paths of a source. Raises InputError for one that gives none."""
+def paths_of(problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
+    """The paths alone of `paths_and_notes`."""
+    return paths_and_notes(problem, source)[0]
+
+
+def paths_and_notes(
+    problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec
+) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
+    """The plane paths of a source, and what is told of its file. Raises InputError for one that gives none."""
     process = problem.process
     if isinstance(source, CurvesSpec):
-        return nurbs_paths(problem, source)
+        return nurbs_paths(problem, source), ()
+    if isinstance(source, DxfSpec):
+        return read_dxf(source, process.chord_tolerance, partial(problem.error, "layers.source.dxf"))
     if isinstance(source, SvgSpec):
-        return read_svg(source.svg, source.width, process.chord_tolerance, partial(problem.error, "layers.source.svg"))
+        where = partial(problem.error, "layers.source.svg")
+        return read_svg(source.svg, source.width, process.chord_tolerance, where), ()
     try:
         beside = process.bead.width + 2.0 * _SWING * process.corner_tolerance
-        return pattern(source, beside, process.chord_tolerance)
+        return pattern(source, beside, process.chord_tolerance), ()
     except NoPattern as error:
         raise problem.error("layers.source.cell_mm", str(error), "change cell_mm or size_mm") from None
 
@@ -391,9 +408,9 @@ def _too_rough(error: TooRoughMesh, where: Complaint, more: str = "") -> Excepti
 
 
 def _upper_faces(problem: Problem, spec: StepSpec) -> UpperFaces:
-    """The faces of a STEP file that look upwards."""
+    """The faces of a STEP or IGES file that look upwards."""
     complain = partial(problem.error, "part.step.file")
-    upper = UpperFaces.of(read_step(spec, _EDGES, complain))
+    upper = UpperFaces.of(*read_faces(spec, _EDGES, complain))
     if upper is None:
         raise complain(f"no face of {spec.file.name} looks upwards", hint="turn it with part.step.rpy_deg")
     return upper

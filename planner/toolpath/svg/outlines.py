@@ -73,7 +73,7 @@ def read_svg(
         closed = outline.closed or bool(np.hypot(*(points[-1] - points[0])) <= same)
         if closed:
             points[-1] = points[0]
-        points = _distinct(points, same)
+        points = distinct(points, same)
         if len(points) < (3 if closed else 2):
             raise outline.node.error(f"{outline.part} is a single point (at a width of {1e3 * width:g} mm)")
         points.flags.writeable = False
@@ -83,7 +83,7 @@ def read_svg(
     return tuple(paths)
 
 
-def _distinct(points: Array, same: float) -> Array:
+def distinct(points: Array, same: float) -> Array:
     """Return the points without those within `same` of the one kept before; the first and the last stay."""
     if (np.hypot(*np.diff(points, axis=0).T) > same).all():
         return points
