@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planner.base.errors import InputError
+from planner.collision.print_body import print_body
 from planner.motion.extrusion import bead_area
 from planner.planning.solve_command import main
 from planner.problem import find_problem, load_problem
@@ -444,7 +445,12 @@ def test_a_layer_too_narrow_is_left_out_and_told(tmp_path: Path) -> None:
     toolpath = build_toolpath(load_problem(tmp_path / "a.yaml"))
     note = next(note for note in toolpath.notes if "left out" in note)
     assert "too narrow for a bead (number 1" in note and len(toolpath.left_out) > 0
-    assert min(bead.layer for bead in toolpath.beads) > 0
+    lowest = min(bead.layer for bead in toolpath.beads)
+    assert lowest > 0
+    # the body for collisions stands beneath the lowest layer that is there
+    assert {bead.layer for bead in toolpath.lowest} == {lowest}
+    under = print_body(toolpath)
+    assert under.name_of(int(np.argmin(under.tree.points[:, 2]))) == "part"
     strict = load_problem(tmp_path / "a.yaml", ("layers.source.leave_out_share=0",))
     with pytest.raises(InputError, match=r"is too narrow for a bead 0\.6 mm wide, first in layer 1"):
         build_toolpath(strict)

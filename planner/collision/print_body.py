@@ -199,7 +199,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         radius.append(np.hypot(CLEARANCE, spread) - CLEARANCE)
         time.append(np.full(len(at), FROM_THE_START))
     if corners is None:
-        first = [_rows(bead, 1.0)[0] for bead in beads if bead.layer == 0]
+        first = [_rows(bead, 1.0)[0] for bead in toolpath.lowest]
         names.append(_PART)
         points.append(np.concatenate(first))
         radius.append(np.zeros(len(points[-1])))

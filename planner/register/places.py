@@ -154,7 +154,7 @@ class Tangents:
     @classmethod
     def of(cls, toolpath: Toolpath, surface: Distance, points: Array, normals: Array) -> Tangents:
         """Those beneath the first layer's beads, and at places (n, 3) with normals besides."""
-        beneath = np.vstack([bead.points for bead in toolpath.beads if bead.layer == 0])
+        beneath = np.vstack([bead.points for bead in toolpath.lowest])
         beneath = beneath[:: max(1, len(beneath) // _TANGENTS)]
         outward = slopes(surface, beneath)
         beneath = beneath - surface.signed_distance(beneath)[:, None] * outward
@@ -169,7 +169,7 @@ class Tangents:
 
 def surface_places(toolpath: Toolpath, surface: Distance) -> tuple[Array, Array]:
     """Places (n, 3) spread over the bare surface, beneath the first beads and on the body's picture, and the normals."""
-    first = [bead.points for bead in toolpath.beads if bead.layer == 0]
+    first = [bead.points for bead in toolpath.lowest]
     points = _spread(np.vstack(first), _MOST)
     if toolpath.shape is not None:
         vertices = toolpath.shape.vertices

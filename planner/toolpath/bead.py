@@ -187,6 +187,12 @@ class Toolpath:
         """Number of layers."""
         return 1 + max(bead.layer for bead in self.beads)
 
+    @property
+    def lowest(self) -> tuple[Bead, ...]:
+        """The beads of the lowest layer of which any is printed: the first may be too narrow."""
+        lowest = min(bead.layer for bead in self.beads)
+        return tuple(bead for bead in self.beads if bead.layer == lowest)
+
     def layers_from(self, first: int) -> int:
         """Number of layers that beads from index `first` on belong to."""
         return len({bead.layer for bead in self.beads[first:]}) if first else self.layers
