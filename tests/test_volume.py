@@ -348,7 +348,7 @@ def roofs(x: Array, y: Array) -> Array:
 
 
 BAD: dict[str, tuple[Array, str, str, str]] = {
-    "open": (block(flat(3.0))[5:], "", "layers.source.mesh", "is not closed"),
+    "open": (block(flat(3.0))[200:], "", "layers.source.mesh", "is not closed"),
     "inside out": (block(flat(3.0))[:, ::-1], "", "layers.source.mesh", "inside out"),
     "below the bed": (block(flat(3.0), foot=-1.0), "", "layers.source.mesh", "1.000 mm below the bed"),
     "edge on top": (block(roofs, cells=60), "", "layers.source.mesh", "smooth surface through the top"),
@@ -469,11 +469,69 @@ def test_too_much_that_is_too_narrow_is_refused(tmp_path: Path) -> None:
     assert "12 layers too narrow for a bead" in " ".join(toolpath.notes)
 
 
-def test_a_facet_that_faces_the_other_way_is_named(tmp_path: Path) -> None:
-    facets = boxes((SIDE, (0, 0, 3)))
-    facets[3] = facets[3][::-1]
+def laid(tmp_path: Path, facets: Array, *settings: str) -> Toolpath:
+    """The toolpath of a body of facets [mm], in level layers."""
     write(tmp_path / "block.stl", facets)
-    (tmp_path / "a.yaml").write_text(PROBLEM.format(more=""))
-    with pytest.raises(InputError, match="facets that face opposite ways beside the edge") as caught:
-        build_toolpath(load_problem(tmp_path / "a.yaml"))
-    assert "unify its normals" in str(caught.value)
+    top = float(facets[..., 2].max())
+    (tmp_path / "a.yaml").write_text(PROBLEM.format(more=f"  upper: {{z_mm: {top:.3f}}}"))
+    return build_toolpath(load_problem(tmp_path / "a.yaml", settings))
+
+
+def same_beads(one: Toolpath, other: Toolpath) -> bool:
+    return len(one.beads) == len(other.beads) and all(
+        np.array_equal(a.points, b.points) for a, b in zip(one.beads, other.beads, strict=True)
+    )
+
+
+def test_facets_that_face_the_other_way_are_turned_and_told(tmp_path: Path) -> None:
+    facets = boxes((SIDE, (0, 0, 3)))
+    right = laid(tmp_path, facets)
+    facets[[3, 7]] = facets[[3, 7], ::-1]
+    turned = laid(tmp_path, facets)
+    assert turned.notes[0] == "block.stl: 2 facets turned round to face as their neighbours do"
+    assert turned.notes[1:] == right.notes and same_beads(turned, right)
+
+
+def test_a_small_hole_is_closed_and_told_a_wide_one_refused_with_what_would_do(tmp_path: Path) -> None:
+    """A triangle of 1 by 0.67 mm is missing, 4 times its area over its rim wide; then a strip of 1 by 8 mm."""
+    facets = block(flat(3.0))
+    whole = laid(tmp_path, facets)
+    closed = laid(tmp_path, np.delete(facets, 40, axis=0))
+    assert closed.notes[0] == "block.stl: 1 hole closed, 0.465 mm wide at most, 0.11% of its surface"
+    assert same_beads(closed, whole)
+    strip = np.delete(facets, [*range(12), *range(len(facets) // 2, len(facets) // 2 + 12)], axis=0)
+    told = r"is not closed: 1 hole wider than 0\.6 mm, 1\.78 mm around x -5\.50, y 0\.00, z 0\.00 mm"
+    with pytest.raises(InputError, match=told) as caught:
+        laid(tmp_path, strip)
+    setting = "layers.source.close_holes_mm"
+    enough = str(caught.value).partition(f"{setting}: ")[2].split()[0]
+    assert same_beads(laid(tmp_path, strip, f"{setting}={enough}"), whole)
+    with pytest.raises(
+        InputError, match=r"21\.4% of its surface would be what closes holes, more than 5%.* 0\.47 closes"
+    ):
+        laid(tmp_path, facets[200:])
+    with pytest.raises(InputError, match=r"1 hole wider than 0\.4 mm"):
+        laid(tmp_path, np.delete(facets, 40, axis=0), f"{setting}=0.4")
+
+
+def test_a_surface_and_what_has_one_side_are_no_bodies(tmp_path: Path) -> None:
+    facets = block(flat(3.0))
+    top = facets[(facets[:, :, 2] == 3.0).all(axis=1)]
+    with pytest.raises(InputError, match="is not closed: 1 hole wider") as caught:
+        laid(tmp_path, top)
+    assert "a surface is no body: print on it as part.mesh" in str(caught.value)
+    assert "close_holes_mm" not in str(caught.value)
+    with pytest.raises(InputError, match=r"has facets that face opposite ways .* one side only"):
+        laid(tmp_path, one_sided())
+
+
+def one_sided() -> Array:
+    """Facets (n, 3, 3) [mm] of a Moebius strip 10 mm wide around a circle of 10 mm radius."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 41)
+    rims = []
+    for side in (-5.0, 5.0):
+        away = 10.0 + side * np.cos(0.5 * turn)
+        rims.append(np.column_stack([away * np.cos(turn), away * np.sin(turn), 6.0 + side * np.sin(0.5 * turn)]))
+    one, other = np.round(rims, 9)
+    a, b, c, d = one[:-1], one[1:], other[1:], other[:-1]
+    return np.concatenate([np.stack(each, axis=1) for each in ((a, b, c), (a, c, d))])

@@ -342,6 +342,13 @@ class SolidSpec(SourceSection):
     )
     smooth: Smooth | None = smooth_key()
     crumbs: Crumbs = crumbs_key("the volume, too narrow for a bead,")
+    holes: Annotated[float, Quantity("mm", 0, 10_000)] | None = key(
+        "close_holes_mm",
+        "holes in the mesh up to this wide are closed, and told: 4 times their area over their rim's length, which is a round "
+        "one's diameter and twice a slit's [mm]; if there are wider ones, the mesh is refused; default: a bead's width, for 5 % of the "
+        "surface at most",
+        None,
+    )
 
     @property
     def file(self) -> MeshSpec:

@@ -39,15 +39,17 @@ class FacetTree(ReadOnlyArrays):
 
     corners (n, 3, 3) [m], counter-clockwise seen from outside; normals (n, 3) of unit length
     low, high (m, 3)  of the boxes; box 0 holds all, box i those of 2 i + 1 and 2 i + 2, the last row is of leaves
+    turned  how many facets face the other way in their file
     """
 
     corners: Array
     normals: Array
     low: Array
     high: Array
+    turned: int = 0
 
     @classmethod
-    def of(cls, corners: Array) -> FacetTree:
+    def of(cls, corners: Array, turned: int = 0) -> FacetTree:
         """The tree of facets (n, 3, 3), n at least 1, none of them without an area."""
         order = np.argsort(_morton(corners.mean(axis=1)), kind="stable")
         corners = np.ascontiguousarray(corners[order])
@@ -61,7 +63,7 @@ class FacetTree(ReadOnlyArrays):
         while len(lows[0]) > 1:
             lows.insert(0, lows[0].reshape(-1, 2, 3).min(axis=1))
             highs.insert(0, highs[0].reshape(-1, 2, 3).max(axis=1))
-        return cls(corners, normals, np.vstack(lows), np.vstack(highs))
+        return cls(corners, normals, np.vstack(lows), np.vstack(highs), turned)
 
     def distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the nearest facet [m]."""

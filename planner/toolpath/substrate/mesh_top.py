@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.geometry import angles_between
+from planner.problem.mesh_repair import turned_words
 from planner.toolpath.bead import Shape, facets_shape, skin_shape
 from planner.toolpath.substrate.curved_facets import CREASE, bent, bulges, corner_normals
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
@@ -109,6 +110,12 @@ class MeshTop:
 
     @property
     def words(self) -> str:
+        """What is to be said of facets that were turned, and of a surface that leaves them by more than usual."""
+        turned = turned_words(self.facets.turned) if self.facets.turned else ""
+        return "; ".join(each for each in (turned, self._smoothed) if each)
+
+    @property
+    def _smoothed(self) -> str:
         """What is to be said of a surface that leaves the facets by more than usual, or would have to."""
         if MOST_UNASKED < self.too_far <= MOST_ASKED:
             return (

@@ -26,6 +26,7 @@ from planner.problem.drawings import (
     SvgSpec,
 )
 from planner.problem.mesh_files import read_facets
+from planner.problem.mesh_repair import facing_alike
 from planner.problem.part import MeshSpec, PartSpec, StepSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.nurbs import nurbs_paths
@@ -359,8 +360,9 @@ def _within(tree: cKDTree, plane: Array, beside: float) -> Flags:
 
 
 def top_facets(spec: MeshSpec, where: Complaint) -> FacetTree:
-    """The facets of a mesh, some of which face upwards, else InputError; for `where` see read_facets."""
-    facets = FacetTree.of(read_facets(spec, where))
+    """The facets of a mesh, turned as their neighbours are, some of which face upwards, else InputError; for `where` see
+    read_facets."""
+    facets = FacetTree.of(*facing_alike(read_facets(spec, where)))
     if facets.normals[:, 2].max() <= 0.0:
         raise where(
             f"no facet of {spec.file.name} faces upwards",

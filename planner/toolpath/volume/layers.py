@@ -6,6 +6,7 @@ The two surfaces are levels, meshes, or the body's own top; each layer lies on t
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,6 +19,7 @@ from planner.base.errors import Complaint
 from planner.problem import Problem
 from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.problem.mesh_files import read_facets, with_area
+from planner.problem.mesh_repair import Mended, count_of, facing_alike, mend
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
@@ -48,10 +50,16 @@ _NAMED = 5  # numbers of layers that are named
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
 _MOST_LAYERS = 2000
+_CLOSED_UNASKED = 0.05  # of the surface that closes holes, at most
+_MOST_CLOSED = 0.4  # of the surface: where closing takes more, it is hardly a body
 
 
-def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree) -> tuple[Morph, MeshTop | None]:
-    """The stack of layers between a body's surfaces, and the mesh that it begins at if it does; the body's facets.
+def stack_of(
+    problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree
+) -> tuple[Morph, MeshTop | None, tuple[str, ...]]:
+    """The stack of layers between a body's surfaces, the mesh that it begins at if it does, and what is to be told of meshes.
+
+    tree: of the body's facets
 
     Raises InputError for surfaces that are not one above the other, or have edges.
     """
@@ -62,19 +70,23 @@ def stack_of(problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: Facet
     reach = _REACH * problem.process.bead.width
     lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
+    guides: list[tuple[str, MeshTop | None]] = [("layers.lower.mesh", base)]
     if spec.upper is None:
         top = _smooth(
             tree, plane, reach, spec.source.smooth, spec.source.mesh.name, partial(problem.error, "layers.source.mesh")
         )
         upper = _over(top)
+        guides.append(("layers.source.mesh", top))
     else:
-        upper, _ = _heights(problem, spec.upper, "layers.upper", plane, reach)
+        upper, guide = _heights(problem, spec.upper, "layers.upper", plane, reach)
+        guides.append(("layers.upper.mesh", guide))
     room = float((upper(plane) - lower(plane)).max())
     if room <= 0.0:
         field = "layers.upper" if spec.upper is not None else "layers.lower"
         reason = f"the upper surface is nowhere above the lower one: {room * 1e3:.3f} mm at most"
         raise problem.error(field, reason, "the upper surface must lie above the lower one, within the body's outline")
-    return Morph.between(lower, upper, spec.height, spec.thinnest, room, low - reach, high + reach), base
+    morph = Morph.between(lower, upper, spec.height, spec.thinnest, room, low - reach, high + reach)
+    return morph, base, tuple(f"{field}: {top.words}" for field, top in guides if top is not None and top.words)
 
 
 def _heights(
@@ -85,7 +97,7 @@ def _heights(
         z = guide.z or 0.0
         return (lambda places: np.full(len(places), z)), None
     complain = partial(problem.error, f"{field}.mesh.file")
-    facets = FacetTree.of(read_facets(guide.mesh, complain))
+    facets = FacetTree.of(*facing_alike(read_facets(guide.mesh, complain)))
     found = facets.top(plane)[1] >= 0
     if not found.all():
         x, y = plane[int(np.argmin(found))] * 1e3
@@ -225,8 +237,9 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     complain = partial(problem.error, "layers.source.mesh")
     name = spec.source.mesh.name
     corners = read_facets(spec.source.file, complain, lines=True)
-    solid = _solid(corners, name, complain)
-    morph, base = stack_of(problem, spec, solid, FacetTree.of(with_area(corners)))
+    mended = _mended(corners, name, spec.source.holes, problem.process.bead.width, complain)
+    solid = _solid(mended.corners, name, complain)
+    morph, base, told = stack_of(problem, spec, solid, FacetTree.of(with_area(mended.corners)))
     longest = max(_CUT, float(np.ptp(solid.vertices[:, :2], axis=0).max()) / 400.0)
     try:
         fine = solid.finer(longest)
@@ -245,24 +258,60 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     beads = _lay(morph, rows, problem.process.bead.width, problem.process.bead.height / spec.height)
     surface = MorphedLayers(morph, base, tuple(regions), tuple(bead.layer for bead in beads))
     shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
-    notes = _notes(name, morph, rows, beads, lost, base)
+    notes = ((f"{name}: {mended.words}",) if mended.words else ()) + _notes(name, morph, rows, beads, lost) + told
     return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph))
 
 
-def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
-    try:
-        solid = Solid.of(corners)
-    except NotClosed as error:
-        x, y, z = error.place * 1e3
-        if error.opposite:
-            raise complain(
-                f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm",
-                "unify its normals in a CAD or mesh program: which side is inside must be known",
-            ) from None
+def _mended(corners: Array, name: str, asked: float | None, width: float, complain: Complaint) -> Mended:
+    """Facets (n, 3, 3) of a body, holes up to `asked` [m] closed, or where that is None up to a bead's width.
+
+    Raises InputError for wider ones, for many of those that nobody asked to close, and for a surface of one side.
+    """
+    widest = width if asked is None else asked
+    with suppress(NotClosed):
+        Solid.of(corners)
+        return Mended(corners)
+    mended = mend(corners, widest)
+    if mended.twisted is not None:
+        x, y, z = mended.twisted * 1e3
         raise complain(
-            f"{name} is not closed: an edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm has not one facet to either side",
-            "mend it in a CAD or mesh program: what is inside must be known",
-        ) from None
+            f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm, and turning "
+            "them does not help, as its surface has one side only",
+            "mend it in a CAD or mesh program: which side is inside must be known",
+        )
+    if not mended.open and asked is None and mended.share > _CLOSED_UNASKED:
+        raise complain(
+            f"{name} is not closed: {mended.share:.1%} of its surface would be what closes holes, more than "
+            f"{_CLOSED_UNASKED:.0%}",
+            _closing(corners, max(hole.width for hole in mended.closed)),
+        )
+    if not mended.open:
+        return mended
+    first = mended.open[0]
+    x, y, z = first.place * 1e3
+    count = count_of(len(mended.open), "hole")
+    raise complain(
+        f"{name} is not closed: {count} wider than {widest * 1e3:g} mm, "
+        f"{'' if len(mended.open) == 1 else 'the widest '}{first.width * 1e3:.2f} mm around x {x:.2f}, y {y:.2f}, z {z:.2f} mm",
+        _closing(corners, first.width),
+    )
+
+
+def _closing(corners: Array, width: float) -> str:
+    """What lets facets be a body that have holes up to `width` [m]."""
+    enough = np.ceil(width * 1e5 + 0.5) * 1e-5
+    mended = mend(corners, enough)
+    by_hand = "mend it in a CAD or mesh program: what is inside must be known"
+    with suppress(NotClosed):
+        if mended.share <= _MOST_CLOSED and Solid.of(mended.corners).volume > 0.0:
+            return f"layers.source.close_holes_mm: {enough * 1e3:.2f} closes what is open; or {by_hand}"
+    if mended.share > _MOST_CLOSED:
+        return f"a surface is no body: print on it as part.mesh, or give it a thickness in a CAD program; or {by_hand}"
+    return by_hand
+
+
+def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
+    solid = Solid.of(corners)
     if solid.volume <= 0.0:
         raise complain(f"{name} is inside out: its facets face inwards", "flip its normals in a CAD program")
     lowest = float(solid.vertices[:, 2].min())
@@ -418,17 +467,13 @@ class _Lost:
         if self.layers:
             numbers = ", ".join(str(layer + 1) for layer in self.layers[:_NAMED])
             more = ", ..." if len(self.layers) > _NAMED else ""
-            parts.append(f"{_count(len(self.layers), 'layer')} too narrow for a bead (number {numbers}{more})")
+            parts.append(f"{count_of(len(self.layers), 'layer')} too narrow for a bead (number {numbers}{more})")
         if self.short:
             total = sum(length(path.points) for _, path in self.short) * 1e3
-            parts.append(f"{_count(len(self.short), 'path')} shorter than 3 bead widths, {total:.1f} mm in all")
+            parts.append(f"{count_of(len(self.short), 'path')} shorter than 3 bead widths, {total:.1f} mm in all")
         if self.places:
-            parts.append(f"{_count(len(self.places), 'place')} narrower than a bead")
+            parts.append(f"{count_of(len(self.places), 'place')} narrower than a bead")
         return f"left out {self.share:.2%} of the volume: {'; '.join(parts)}" if parts else ""
-
-
-def _count(number: int, what: str) -> str:
-    return f"1 {what}" if number == 1 else f"{number} {what}s"
 
 
 def _lost(
@@ -469,9 +514,9 @@ def _area(path: PlanePath, width: float, density: float) -> float:
 
 
 def _notes(
-    name: str, morph: Morph, rows: Sequence[Sequence[_Line]], beads: Sequence[Bead], lost: _Lost, base: MeshTop | None
+    name: str, morph: Morph, rows: Sequence[Sequence[_Line]], beads: Sequence[Bead], lost: _Lost
 ) -> tuple[str, ...]:
-    """How high layers are, what was left out, and what was smoothed."""
+    """How high layers are, and what was left out."""
     high = np.concatenate([morph.thickness.at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3
     count = sum(1 for row in rows if row)
     notes = [f"{name}: {count} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
@@ -484,6 +529,4 @@ def _notes(
             f"{name}: beads hold {lost.held:.1%} of the volume that walls and infill ask for, as lines are whole and corners "
             "rounded; narrower beads hold more"
         )
-    if base is not None and base.words:
-        notes.append(f"layers.lower.mesh: {base.words}")
     return tuple(notes)

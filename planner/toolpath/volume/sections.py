@@ -31,6 +31,7 @@ _WHOLE = 1e-6  # layers: so little more than a whole number is that number
 
 MOST_FACETS = 2_000_000  # once they are
 _DECIMALS = 9  # of a metre: corners that are one corner differ by rounding, once the file is turned
+_TINY = 1e-30  # m
 _SAME_ANGLE = 6  # decimals of a radian: facets of two bodies that lie on each other
 _HAIR = 1e-8  # m between bodies that touch
 _AREA = 1e-12  # m^2: an outline around less is none
@@ -200,7 +201,9 @@ def _with_material_between(vertices: Array, facets: Ints, ahead: Ints, back: Int
     sides = np.concatenate([ahead, back])
     wing = vertices[facets[sides // 3, (sides + 2) % 3]] - foot
     wing = wing - (wing @ along)[:, None] * along
-    x = wing[0] / np.linalg.norm(wing[0])
+    across = np.linalg.norm(wing, axis=1)
+    widest = int(np.argmax(across))  # one without an area says nothing of where it points
+    x = wing[widest] / max(float(across[widest]), _TINY)
     angle = np.round(np.arctan2(wing @ np.cross(along, x), wing @ x), _SAME_ANGLE)
     # around the edge material begins at a side that runs back, and ends at the next that runs ahead
     order = np.lexsort((np.arange(len(sides)) >= len(ahead), angle))
