@@ -63,6 +63,7 @@ EXAMPLES: dict[str, str] = {
     "least_mm": "[0, 0, -50]",
     "leave_out": "[purge, ironing, skirt]",
     "leave_out_share": "0.02",
+    "close_holes_mm": "2.5",
     "length_mm": "2",
     "letter": "B",
     "lift_mm": "10",
