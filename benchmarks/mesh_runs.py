@@ -18,6 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from benchmarks.own_process import end_with_parent
@@ -26,7 +27,9 @@ from planner.motion.extrusion import bead_area
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import PatternSpec
+from planner.problem.layers import SolidSpec
 from planner.problem.mesh_files import read_corners
+from planner.problem.mesh_repair import mend
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.plane_paths import length
@@ -40,6 +43,7 @@ COLUMNS = (
     "file", "as", "verdict", "reason", "facets", "scale", "asked", "printed", "told", "silent", "at_speed",
     "notes", "seconds",
 )  # fmt: skip
+CLOSES = re.compile(r"close_holes_mm: ([\d.]+) closes")  # what the refusal of an open body advises
 NO_TOP = ("layers.upper", "layers.tilt_deg")  # what the refusal of a body says whose top is no layer
 LINES_MM = 4.0  # apart
 WIDTH_MM, HEIGHT_MM = 1.5, 1.0  # of beads that fill a mesh
@@ -63,8 +67,11 @@ class MeshJob:
     cover: float = 0.7
 
 
-def problem_of(job: MeshJob, level: bool = False) -> tuple[Problem, Row]:
-    """The problem, of level layers if they are to be, and of the mesh how many facets it has and by how much it is enlarged."""
+def problem_of(job: MeshJob, level: bool = False, holes: float | None = None) -> tuple[Problem, Row]:
+    """The problem, and of the mesh how many facets it has and by how much it is enlarged.
+
+    level: with level layers; holes: how wide ones are closed [mm]
+    """
     corners = read_corners(Path(job.file), partial(InputError, file=Path(job.file))) * 1e3
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     scale = float(f"{job.size / float((high - low).max()):.6g}")
@@ -78,7 +85,8 @@ def problem_of(job: MeshJob, level: bool = False) -> tuple[Problem, Row]:
         layers: dict[str, object] = {"source": source, "project": "z", "count": 1, "height_mm": 0.5}
         settings = [f"part={json.dumps({'mesh': {'file': job.file, **mesh}})}", f"layers={json.dumps(layers)}"]
     else:
-        layers = {"source": {"mesh": job.file, **mesh, **share}, "height_mm": HEIGHT_MM}
+        closing = {} if holes is None else {"close_holes_mm": holes}
+        layers = {"source": {"mesh": job.file, **mesh, **share, **closing}, "height_mm": HEIGHT_MM}
         if level:
             layers["upper"] = {"z_mm": round(float(size[2]), 3)}
         settings = ["part=null", f"layers={json.dumps(layers)}", f"process.bead={{width_mm: {WIDTH_MM}}}"]
@@ -92,8 +100,15 @@ def asked_of(problem: Problem, job: MeshJob) -> float:
     if isinstance(source, PatternSpec):
         beside = problem.process.bead.width + 1.8 * problem.process.corner_tolerance
         return sum(length(path.points) for path in pattern(source, beside, problem.process.chord_tolerance))
-    a, b, c = read_corners(Path(job.file), partial(InputError, file=Path(job.file))).transpose(1, 0, 2)
-    return float((a * np.cross(b, c)).sum() / 6.0 * source.scale**3)  # type: ignore[union-attr]
+    corners = read_corners(Path(job.file), partial(InputError, file=Path(job.file)))
+    mesh = trimesh.Trimesh(corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3))
+    if not mesh.is_watertight and isinstance(
+        source, SolidSpec
+    ):  # how a hole is closed is the planner's choice, and told
+        widest = problem.process.bead.width if source.holes is None else source.holes
+        a, b, c = mend(source.scale * corners, widest).corners.transpose(1, 0, 2)
+        return float((a * np.cross(b, c)).sum() / 6.0)
+    return float(mesh.volume * source.scale**3)  # type: ignore[union-attr]
 
 
 def printed_of(problem: Problem, toolpath: Toolpath) -> float:
@@ -112,21 +127,38 @@ def told_of(notes: Sequence[str]) -> float:
     return sum(0.01 * float(each.group(1)) for each in found if each)
 
 
+def laid_of(job: MeshJob) -> tuple[Problem, Toolpath, Row]:
+    """The problem and its toolpath, and facts: a body's open skin is closed, and its layers are level, if the refusal says so.
+
+    Raises InputError for what is refused all the same.
+    """
+    level, holes = False, None
+    while True:
+        problem, facts = problem_of(job, level, holes)
+        kind = (
+            job.kind
+            + (", level layers" if level else "")
+            + ("" if holes is None else f", holes to {holes:g} mm closed")
+        )
+        try:
+            return problem, build_toolpath(problem), facts | {"as": kind}
+        except InputError as error:
+            closes = CLOSES.search(str(error))
+            if job.kind == "volume" and holes is None and closes:
+                holes = float(closes.group(1))
+            elif job.kind == "volume" and not level and any(each in str(error) for each in NO_TOP):
+                level = True
+            else:
+                raise
+
+
 def row_of(job: MeshJob) -> Row:
     """The row of a mesh, whatever becomes of it."""
     begun = time.monotonic()
     row: Row = dict.fromkeys(COLUMNS) | {"file": job.name, "as": job.kind}
     try:
-        problem, facts = problem_of(job)
+        problem, toolpath, facts = laid_of(job)
         row |= facts
-        try:
-            toolpath = build_toolpath(problem)
-        except InputError as error:
-            if job.kind != "volume" or not any(each in str(error) for each in NO_TOP):
-                raise
-            row |= {"as": "volume, level layers"}
-            problem, _ = problem_of(job, level=True)
-            toolpath = build_toolpath(problem)
         asked, printed, told = asked_of(problem, job), printed_of(problem, toolpath), told_of(toolpath.notes)
         row |= {"asked": asked, "printed": printed, "told": told, "silent": 1.0 - printed / asked - told}
         row |= {"verdict": "laid", "notes": " | ".join(toolpath.notes)}

@@ -6,6 +6,7 @@ import csv
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -34,6 +35,16 @@ def test_a_ball_of_any_unit_is_laid_as_both(tmp_path: Path) -> None:
         assert float(str(row["printed"])) > 0.8 * float(str(row["asked"]))
     strict = row_of(job(tmp_path, "volume", 0.0))
     assert strict["verdict"] == "refused" and "leave_out_share" in str(strict["reason"])
+
+
+@pytest.mark.slow
+def test_an_open_body_is_closed_as_its_refusal_says(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=1.0).slice_plane([0, 0, -0.7], [0, 0, 1])
+    ball.export(tmp_path / "ball.ply")
+    row = row_of(job(tmp_path, "volume"))
+    assert row["verdict"] == "laid", row["reason"]
+    assert str(row["as"]).startswith("volume, level layers, holes to 2") and not lost(row)
+    assert float(str(row["asked"])) == pytest.approx(np.pi / 3 * 15e-3**3 * (1.7**2 * 1.3), rel=0.05)
 
 
 def test_what_is_told_is_read_off_the_notes() -> None:

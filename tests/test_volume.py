@@ -525,6 +525,12 @@ def test_a_surface_and_what_has_one_side_are_no_bodies(tmp_path: Path) -> None:
         laid(tmp_path, one_sided())
 
 
+def test_a_body_that_hangs_in_the_air_is_named(tmp_path: Path) -> None:
+    facets = boxes(((8.0, 8.0, 2.0), (0, 0, 1)), ((8.0, 8.0, 2.0), (0, 0, 5)))
+    with pytest.raises(InputError, match=r"block\.stl has nothing in layer 5: what is above hangs in the air"):
+        laid(tmp_path, facets)
+
+
 def one_sided() -> Array:
     """Facets (n, 3, 3) [mm] of a Moebius strip 10 mm wide around a circle of 10 mm radius."""
     turn = np.linspace(0.0, 2.0 * np.pi, 41)

@@ -276,7 +276,7 @@ def _mended(corners: Array, name: str, asked: float | None, width: float, compla
         x, y, z = mended.twisted * 1e3
         raise complain(
             f"{name} has facets that face opposite ways beside the edge at x {x:.2f}, y {y:.2f}, z {z:.2f} mm, and turning "
-            "them does not help, as its surface has one side only",
+            "them does not help: what hangs together there has one side only",
             "mend it in a CAD or mesh program: which side is inside must be known",
         )
     if not mended.open and asked is None and mended.share > _CLOSED_UNASKED:
@@ -332,7 +332,14 @@ def _regions(problem: Problem, spec: VolumeLayersSpec, morph: Morph, fine: Solid
         raise problem.error("layers.height_mm", reason, f"{_MOST_LAYERS} at most: higher layers")
     found = [fine.section(levels, layer + 0.5) for layer in range(count)]
     regions = [region for region in found if not region.is_empty]
-    if not regions or any(region.is_empty for region in found[: len(regions)]):
+    empty = [layer for layer, region in enumerate(found[: len(regions)]) if region.is_empty]
+    if empty and not found[0].is_empty:
+        raise problem.error(
+            "layers.source.mesh",
+            f"{spec.source.mesh.name} has nothing in layer {empty[0] + 1}: what is above hangs in the air",
+            "move its bodies onto each other in a CAD or mesh program, or print them apart",
+        )
+    if not regions or empty:
         field = "layers.lower" if spec.lower is not None else "layers.height_mm"
         reason = "no layer lies within the body" if not regions else "the lowest layers lie below the body"
         raise problem.error(field, reason, "the lower surface where the body begins, or less high layers")
