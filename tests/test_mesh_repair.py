@@ -138,3 +138,15 @@ def _grid(n: int) -> NDArray[np.int64]:
     i, j = (each.ravel() for each in np.meshgrid(np.arange(n - 1), np.arange(n - 1)))
     a = j * n + i
     return np.concatenate([np.column_stack([a, a + 1, a + n + 1]), np.column_stack([a, a + n + 1, a + n])])
+
+
+def test_sheets_that_come_near_each_other_are_not_joined_into_one_of_one_side() -> None:
+    """A band with half a twist whose ends are 5 um apart has two sides as it is, and one once they are joined."""
+    t = np.linspace(0.0, 2.0 * np.pi - 2.5e-4, 61)[:, None]
+    out = np.column_stack([np.cos(t), np.sin(t), np.zeros_like(t)])
+    across = 0.004 * (np.cos(0.5 * t) * out + np.sin(0.5 * t) * np.array([0.0, 0.0, 1.0]))
+    a, b = 0.02 * out - across, 0.02 * out + across
+    band = np.concatenate([np.stack([a[:-1], b[:-1], b[1:]], axis=1), np.stack([a[:-1], b[1:], a[1:]], axis=1)])
+    mended = mend(band, 1e-3)
+    assert mended.twisted is None and mended.joined == 0
+    assert mended.open

@@ -91,10 +91,15 @@ def mend(corners: Array, widest: float) -> Mended:
 
     What is wider stays open, and is told. A hole is closed by facets between its own corners, the nearest joined first.
     """
-    vertices, facets, joined, gap = _joined(*_shared(corners), min(_SLIT, widest))
+    apart = _shared(corners)
+    vertices, facets, joined, gap = _joined(*apart, min(_SLIT, widest))
     facets, turned, mixed = _turned(vertices, facets, upward=False)
-    holes = _holes(vertices, facets)
     twisted = _twisted(vertices, facets)
+    if twisted is not None and joined:  # sheets back to back, as of a double wall, are no slit's two sides
+        vertices, joined, gap = apart[0], 0, 0.0
+        facets, turned, mixed = _turned(*apart, upward=False)
+        twisted = _twisted(vertices, facets)
+    holes = _holes(vertices, facets)
     if turned and _volume(np.concatenate([vertices[facets], *(hole.facets for hole in holes)])) < 0.0:
         # most of them face inwards: only here, as nothing but their number told which are turned
         facets = np.where(mixed[:, None], facets[:, ::-1], facets)
