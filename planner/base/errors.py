@@ -83,6 +83,7 @@ class Refusal(PlannerError):
     """There is no plan, and this is where and why.
 
     `bead` and `waypoint` count from 0, `s_mm` runs along the bead, `point_mm` is in the part frame;
+    `run` is "run-in" or "run-out" where it is there and not on the bead itself;
     `missing_mm` says by how much a point lies out of reach, where that is the reason; `hints` name changes
     that were tried and would help. A function that finds them is called when they are first asked for: trying
     changes takes longer than all else, and a refusal that another plan makes good needs none.
@@ -98,10 +99,11 @@ class Refusal(PlannerError):
         waypoint: int | None = None,
         s_mm: float | None = None,
         point_mm: tuple[float, float, float] | None = None,
+        run: str | None = None,
         missing_mm: float | None = None,
         hints: Hints | Callable[[], Hints] = (),
     ) -> None:
-        self.reason, self.bead, self.waypoint = reason, bead, waypoint
+        self.reason, self.bead, self.waypoint, self.run = reason, bead, waypoint, run
         self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
         self._hints = hints
         place = []

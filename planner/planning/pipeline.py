@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
+from planner.planning.short_runs import all_short, may_be_short, with_short_runs
 from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
@@ -225,16 +227,24 @@ def _as_clear_as_can_be(
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
     """What is planned, with the usual clearance of nozzle and head; where that cannot be kept, and nobody asked for it, with
-    the greatest that gives a verified plan. Raises Refusal."""
+    the greatest that gives a verified plan. Runs are shortened first where that helps. Raises Refusal."""
     refusal, found = None, None
     try:
         found = print_of(given, over)
     except Refusal as none:
         refusal = none
+    if refusal is not None and strategy == DEFAULT and refusal.run is not None:
+        short = with_short_runs(given, refusal, stages)
+        if short is not None:
+            with suppress(Refusal):  # other processes know the runs as they were
+                found, given = print_of(short), short
     stuck = found is None or lacks_clearance_only(found[1].report)
     if stuck and strategy not in UNAWARE and may_come_nearer(given.problem):
         because = "a plan with that comes too near" if refusal is None else str(refusal)
-        for told, nearer in coming_nearer(given, because, stages):
+        ways = coming_nearer(given, because, stages)
+        if refusal is not None and refusal.run is not None and strategy == DEFAULT and may_be_short(given.problem):
+            ways = chain(ways, coming_nearer(all_short(given, refusal), because, stages))
+        for told, nearer in ways:
             try:  # other processes read the problem as it was
                 again = print_of(nearer)
             except Refusal:

@@ -334,15 +334,17 @@ def refuse_at(
     mm = task.tip[i] * 1e3
     if missing is not None:
         reason += f" by {missing * 1e3:.1f} mm"
-    run = ", in the run-in" if i < task.first else ", in the run-out" if i > task.last else ""
+    run = "run-in" if i < task.first else "run-out" if i > task.last else None
+    there = f", in the {run}" if run else ""
     nearest = min(max(i, task.first), task.last)
     raise kind(
-        f"{reason} (layer {task.layer + 1}, path {task.name!r}{run}, "
+        f"{reason} (layer {task.layer + 1}, path {task.name!r}{there}, "
         f"point {mm[0]:.1f} {mm[1]:.1f} {mm[2]:.1f} mm on the part)",
         bead=task.bead,
         waypoint=nearest - task.first,
         s_mm=float(task.s[nearest] * 1e3),
         point_mm=(float(mm[0]), float(mm[1]), float(mm[2])),
+        run=run,
         missing_mm=None if missing is None else missing * 1e3,
         hints=hints or (),
     )

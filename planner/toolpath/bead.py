@@ -120,6 +120,7 @@ class Bead(ReadOnlyArrays):
     closed         the last point is the first one again (both are kept)
     material       its name in process.materials; empty where they have no names
     round          a strut in space: its section is a circle, width and height are its diameter
+    short_runs     whether run-in and run-out are as short as may be, where longer ones cannot be had
     """
 
     name: str
@@ -134,6 +135,7 @@ class Bead(ReadOnlyArrays):
     closed: bool
     material: str = ""
     round: bool = False
+    short_runs: tuple[bool, bool] = (False, False)
 
     @property
     def length(self) -> float:

@@ -1,0 +1,73 @@
+"""Run-ins and run-outs as short as may be, where a bead can be laid but not run into, or out of, at their usual length.
+
+A wall beside a bead's end, or a posture that the arm does not have beyond it, would refuse the whole print. The nozzle is at
+speed some tenths of a millimetre later then. A user's own `process.run_in_mm` is never shortened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from planner.base.errors import Refusal
+from planner.base.progress import Stages
+from planner.planning.context import PlanningContext, context_of
+from planner.problem import Problem
+from planner.resolve.ladder import ladder
+
+MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
+RUNS = ("run-in", "run-out")
+
+
+def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
+    """The same print with those runs shortened in which a search ends, if it finds a way then, or else with all of them
+    short; None where the problem asks for their length.
+
+    refusal: of the print with its usual runs
+    """
+    if not may_be_short(given.problem):
+        return None
+    beads = given.toolpath.beads
+    short = {i: bead.short_runs for i, bead in enumerate(beads)}
+    now, told = refusal, []
+    for _ in range(MOST_ENDS):
+        if now.bead is None or now.run not in RUNS or short[now.bead][RUNS.index(now.run)]:
+            break
+        ends = short[now.bead]
+        short[now.bead] = (True, ends[1]) if now.run == "run-in" else (ends[0], True)
+        told.append(f"{now.run} of bead {now.bead}")
+        shortened = _shortened(given, short, f"{', '.join(told)} shortened: {refusal.reason}")
+        stuck = _stuck(shortened, stages)
+        if stuck is None:
+            return shortened
+        now = stuck
+    return all_short(given, refusal)
+
+
+def may_be_short(problem: Problem) -> bool:
+    """Whether runs have their length because the problem says nothing of it."""
+    return "run_in" not in problem.process.model_fields_set
+
+
+def all_short(given: PlanningContext, refusal: Refusal) -> PlanningContext:
+    """The same print with all of its runs shortened."""
+    short = dict.fromkeys(range(len(given.toolpath.beads)), (True, True))
+    return _shortened(given, short, f"run-ins and run-outs shortened: {refusal.reason}")
+
+
+def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], note: str) -> PlanningContext:
+    """The same print with other runs, and a note that says so."""
+    toolpath = given.toolpath
+    beads = tuple(replace(bead, short_runs=short[i]) for i, bead in enumerate(toolpath.beads))
+    toolpath = replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
+    return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)
+
+
+def _stuck(given: PlanningContext, stages: Stages) -> Refusal | None:
+    """Where a search ends; None where it finds a way."""
+    with stages.stage("resolve"):
+        try:
+            ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles)
+        except Refusal as refusal:
+            return refusal
+    return None
