@@ -15,6 +15,7 @@ from benchmarks.single import Job as SingleJob
 from benchmarks.waypoint_files import FIT, Meaning, as_the_file_counts, files_in, look_at, place, together
 from planner.base.errors import InputError
 from planner.problem import load_problem
+from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.build import build_toolpath
 
 HEIGHT, REACH = 0.8e-3, 0.9  # m
