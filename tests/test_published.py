@@ -213,10 +213,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
 
     def run_apart(job: SingleJob) -> Row:
         out.append(job)
-        problem = load_problem(job[0].problem, job[0].settings)
-        return make_row(
-            job[0], found=True, verified=True, waypoints=60, reason=f"{problem.layers.source.waypoints}:7: told"
-        )
+        layers = load_problem(job[0].problem, job[0].settings).layers
+        assert isinstance(layers, WaypointLayersSpec)
+        reason = f"{layers.source.waypoints}:7: told"
+        return make_row(job[0], found=True, verified=True, waypoints=60, reason=reason)
 
     monkeypatch.setattr(published, "run_apart", run_apart)
     monkeypatch.setattr(run, "line", lambda row: str(row["problem"]))
