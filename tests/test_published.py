@@ -15,6 +15,7 @@ from benchmarks.single import Job as SingleJob
 from benchmarks.waypoint_files import FIT, Meaning, as_the_file_counts, files_in, look_at, place, together
 from planner.base.errors import InputError
 from planner.problem import load_problem
+from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.build import build_toolpath
 
 HEIGHT, REACH = 0.8e-3, 0.9  # m
@@ -212,10 +213,10 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
 
     def run_apart(job: SingleJob) -> Row:
         out.append(job)
-        problem = load_problem(job[0].problem, job[0].settings)
-        return make_row(
-            job[0], found=True, verified=True, waypoints=60, reason=f"{problem.layers.source.waypoints}:7: told"
-        )
+        layers = load_problem(job[0].problem, job[0].settings).layers
+        assert isinstance(layers, WaypointLayersSpec)
+        reason = f"{layers.source.waypoints}:7: told"
+        return make_row(job[0], found=True, verified=True, waypoints=60, reason=reason)
 
     monkeypatch.setattr(published, "run_apart", run_apart)
     monkeypatch.setattr(run, "line", lambda row: str(row["problem"]))
