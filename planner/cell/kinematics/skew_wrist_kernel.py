@@ -277,11 +277,11 @@ def _intervals(lines: Array, ends: Array) -> tuple[int, bool]:
     rises = np.empty(_DOMAIN + 2, dtype=np.bool_)
     found, barely = 0, False
     for i in range(count):
-        low, high = marks[i], marks[i + 1] if i + 1 < count else marks[0] + 2.0 * np.pi
-        one, two = _left(lines, low), _left(lines, high)
+        start, stop = marks[i], marks[i + 1] if i + 1 < count else marks[0] + 2.0 * np.pi
+        one, two = _left(lines, start), _left(lines, stop)
         barely = barely or abs(one) < _BESIDE * _BESIDE
         if (one >= 0.0) != (two >= 0.0):
-            zeros[found] = _between(lines, False, low, high)
+            zeros[found] = _between(lines, False, start, stop)
             rises[found] = two >= 0.0
             found += 1
     if found == 0:
@@ -599,7 +599,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
                     rank += 1
             if (rank >= 2) != (late == 1):
                 continue
-            slot = labels[k] + LABELS * rank
+            slot = int(labels[k]) + LABELS * rank
             if late == 1:
                 slot = SLOTS - 1
                 while ok[slot]:
