@@ -51,7 +51,7 @@ class DxfRead(NamedTuple):
     notes: tuple[str, ...]
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Found:
     """What a walk through a drawing has met."""
 
