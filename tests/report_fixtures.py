@@ -155,7 +155,9 @@ def make_beads(count: int = 6, waypoints: int = 200) -> tuple[SimpleNamespace, .
     beads = []
     for k in range(count):
         points = np.column_stack([CENTRE + RADIUS * normals[:, :2], np.full(waypoints, 0.02 + 0.002 * k)])
-        beads.append(SimpleNamespace(name=f"ring {k}", layer=0, points=points, normals=normals, s=a * RADIUS))
+        beads.append(
+            SimpleNamespace(name=f"ring {k}", layer=0, round=False, points=points, normals=normals, s=a * RADIUS)
+        )
     return tuple(beads)
 
 

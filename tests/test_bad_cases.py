@@ -127,7 +127,7 @@ def row(x: float, y: float, normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     ("rows", "line", "words"),
     [
         ([row(0, 0), row(0.1, 0), row(0.2, 0)], 1, "only 0.2000 mm long"),
-        ([row(0, 0), row(1, 0), row(2, 0, (0, 0, -1)), row(3, 0)], 3, "turns by 180 degrees"),
+        ([row(0, 0), row(1, 0), row(2, 0, (0.866, 0, -0.5)), row(3, 0)], 3, "turns by 120 degrees"),
         ([row(k, 0, (1, 0, 0)) for k in range(5)], 1, "runs along its normals"),
         (["# remark", row(0, 0), row(1, 0), row(2, 0, (1, 0, -0.2)), row(3, 0)], 4, "turns by 101 degrees"),
     ],
