@@ -30,6 +30,7 @@ _WIDEST = 25.0  # corner tolerances: half the length of path over which a rounde
 _SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 _OPPOSITE = 180.0  # deg
+_AROUND = 3  # waypoints to either side that say which way a normal points
 _NAME, _METRIC = "axis near the file's normals", "file_normal_max_deg"
 
 
@@ -115,11 +116,14 @@ def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Ar
 
 
 def _not_the_other_way(normals: Array) -> Array:
-    """Normals (n, 3), single ones turned round that point away from those before and after."""
-    around = np.zeros_like(normals)
-    around[1:] += normals[:-1]
-    around[:-1] += normals[1:]
-    return np.where((normals * around).sum(axis=1)[:, None] < 0.0, -normals, normals)
+    """Normals (n, 3), single ones turned round that point away from most of those before and after."""
+    n = len(normals)
+    away, others = np.zeros(n), np.zeros(n)
+    for k in range(1, min(_AROUND, n - 1) + 1):
+        against = (normals[k:] * normals[:-k]).sum(axis=1) < 0.0
+        away[k:], away[:-k] = away[k:] + against, away[:-k] + against
+        others[k:], others[:-k] = others[k:] + 1.0, others[:-k] + 1.0
+    return np.where((2.0 * away > others)[:, None], -normals, normals)
 
 
 def _turns(points: Array) -> Array:
