@@ -55,7 +55,7 @@ def projected(cell: Cell, task: NozzleTask, i: int, q: Array, qd: Array, qdd: Ar
     """What G q'' less d(rates) leaves beyond the twist of the path and the nozzle's axis (6)."""
     arm, numbers, demand = arm_numbers(cell), bound._cell_numbers(cell), sample_tasks([task], 0.1)
     na, nh = len(cell.arm), len(cell.holder)
-    room = bound._room(na, nh, len(cell.chosen), len(numbers.triples))
+    room = bound._room(na, nh, len(cell.chosen), len(numbers.triples), 8)
     path = bound.PathNumbers(demand.tip, demand.frames, demand.twist, demand.rate)
     T_world_part = cell.holder.poses(q[None, na:])[0]
     R = T_world_part[:3, :3]
@@ -139,7 +139,7 @@ def test_the_greatest_speed_is_that_of_linear_programs() -> None:
     task, slow = tasks[0], slowed(cell, velocity=0.01, acceleration=1e6)
     numbers, arm, demand = bound._cell_numbers(slow), arm_numbers(slow), sample_tasks([task], 0.1)
     path = bound.PathNumbers(demand.tip, demand.frames, demand.twist, demand.rate)
-    room, last = bound._room(6, 0, 0, len(numbers.triples)), np.zeros(1, dtype=np.int64)
+    room, last = bound._room(6, 0, 0, len(numbers.triples), 8), np.zeros(1, dtype=np.int64)
     compared = 0
     for i in range(task.first, task.last, 97):
         for roll in (0.0, 1.0, 2.5, 4.0):
