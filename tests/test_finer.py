@@ -106,7 +106,7 @@ def test_more_samples_are_tried_while_they_help(
     assert finer is not None
     assert finer.toolpath.notes[-1].startswith("1 of 1 beads sampled more finely")
     assert with_finer_samples(given, plan.trajectory, report, before=1.1 * worst_off(report)) is None
-    far = replace(report, series=report.series | {"off_the_path": 30.0 * report.series["off_the_path"]})
+    far = replace(report, series=report.series | {"off_the_path": 600.0 * report.series["off_the_path"]})
     assert with_finer_samples(given, plan.trajectory, far) is None
 
 
