@@ -19,7 +19,7 @@ from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.drawings import DxfSpec
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.dxf.chains import Line, joined, without_twins
+from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
 from planner.toolpath.dxf.reader import INSUNITS, DxfRead, read_drawing, read_dxf
 from planner.toolpath.svg.outlines import PlanePath
 
@@ -163,7 +163,7 @@ def test_a_chain_in_any_order_and_sense_is_one(data: st.DataObject) -> None:
     ring = data.draw(st.booleans())
     corners = np.vstack([corners, corners[:1]]) if ring else corners
     pieces = [corners[i : i + 2][:: data.draw(st.sampled_from([1, -1]))] for i in range(len(corners) - 1)]
-    lines = [Line(f"line {i}", "0", points, False) for i, points in enumerate(data.draw(st.permutations(pieces)))]
+    lines = [DrawnLine(f"line {i}", "0", points, False) for i, points in enumerate(data.draw(st.permutations(pieces)))]
     chains = joined(lines, 1e-6)
     assert len(chains) == 1 and chains[0].closed == ring
     total = np.hypot(*np.diff(corners, axis=0).T).sum()
@@ -173,7 +173,7 @@ def test_a_chain_in_any_order_and_sense_is_one(data: st.DataObject) -> None:
 
 def test_crossing_lines_go_straight_on() -> None:
     arms = [np.array([[0.0, 0.0], way]) for way in ([1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0])]
-    chains = joined([Line(str(i), "0", arm, False) for i, arm in enumerate(arms)], 1e-6)
+    chains = joined([DrawnLine(str(i), "0", arm, False) for i, arm in enumerate(arms)], 1e-6)
     assert len(chains) == 2
     for chain in chains:
         assert np.ptp(chain.points, axis=0).min() == 0.0

@@ -19,7 +19,7 @@ End = tuple[int, int]  # a line, and its end: 0 or 1
 
 
 @dataclass(frozen=True)
-class Line:
+class DrawnLine:
     """A line of a drawing, (n, 2) in its units; `group`: only lines of one are joined."""
 
     name: str
@@ -28,7 +28,7 @@ class Line:
     closed: bool
 
 
-def without_twins(lines: Sequence[Line], same: float) -> tuple[list[Line], int]:
+def without_twins(lines: Sequence[DrawnLine], same: float) -> tuple[list[DrawnLine], int]:
     """The lines without those that lie on another, either way round, and how many these are."""
     seen: dict[str, list[Array]] = defaultdict(list)
     kept = []
@@ -44,7 +44,7 @@ def without_twins(lines: Sequence[Line], same: float) -> tuple[list[Line], int]:
     return kept, len(lines) - len(kept)
 
 
-def joined(lines: Sequence[Line], join: float) -> list[Line]:
+def joined(lines: Sequence[DrawnLine], join: float) -> list[DrawnLine]:
     """The lines, those of a group put together whose ends are at most `join` apart; in the order of their first parts.
 
     Where more than two ends meet, those that go on straightest are joined.
@@ -65,11 +65,11 @@ def joined(lines: Sequence[Line], join: float) -> list[Line]:
             continue
         points = np.vstack([lines[k].points[:: -1 if back else 1] for k, back in run])
         name = line.name if len(run) == 1 else f"{lines[run[0][0]].name} and {len(run) - 1} more"
-        out.append(Line(name, line.group, points, closed))
+        out.append(DrawnLine(name, line.group, points, closed))
     return out
 
 
-def _pairs(lines: Sequence[Line], loose: Sequence[int], join: float) -> dict[End, End]:
+def _pairs(lines: Sequence[DrawnLine], loose: Sequence[int], join: float) -> dict[End, End]:
     """For each end that is joined to another, that one."""
     ends: list[End] = [(i, k) for i in loose for k in (0, 1)]
     places = np.array([lines[i].points[-k] for i, k in ends])

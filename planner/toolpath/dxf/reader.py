@@ -22,7 +22,7 @@ from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
 from planner.problem.drawings import NARROWEST_MM, WIDEST_MM, DxfSpec
 from planner.problem.part import UNITS
-from planner.toolpath.dxf.chains import Line, joined, without_twins
+from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
 from planner.toolpath.svg.document import MAX_ELEMENTS, MAX_POINTS
 from planner.toolpath.svg.outlines import SAME_POINT, PlanePath, distinct
 
@@ -258,7 +258,7 @@ def _measured(found: _Found, where: Complaint, spec: DxfSpec) -> float:
     return width if width > _FLAT * size else size
 
 
-def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> tuple[list[Line], Array]:
+def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> tuple[list[DrawnLine], Array]:
     """The lines, chords at most `chord` off them, and the heights of all their vertices; all in the drawing's units."""
     lines, heights, room = [], [], MAX_POINTS
     for entity, name, layer in found.lines:
@@ -278,7 +278,7 @@ def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> 
         closed = len(points) > 2 and bool(
             np.abs(points[0] - points[-1]).max() <= _FLAT * max(1.0, np.abs(points).max())
         )
-        lines.append(Line(name, layer, points[:, :2], closed))
+        lines.append(DrawnLine(name, layer, points[:, :2], closed))
         heights.append(points[:, 2])
     if not lines:
         raise where(f"{spec.dxf.name} draws nothing but points", hint="is it drawn in the xy plane?")
@@ -345,7 +345,7 @@ def _starts(entity: Any, points: list[Any]) -> bool:
     return bool(first.distance(points[0]) <= first.distance(points[-1]))
 
 
-def _placed(chains: Iterable[Line], centre: Array, scale: float, same: float) -> tuple[PlanePath, ...]:
+def _placed(chains: Iterable[DrawnLine], centre: Array, scale: float, same: float) -> tuple[PlanePath, ...]:
     """Paths in metres about the centre; points within `same` [m] of the one before are one."""
     paths = []
     names = Counter[str]()
