@@ -440,6 +440,8 @@ def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
     points = sheet.points[loop]
     s = arc_lengths(np.vstack([points, points[:1]]))
     n = len(loop)
+    if s[-1] == 0.0:  # where faces are sewn that share a point alone
+        return []
     ahead = np.array([_at(points, s, s[i] + 0.5 * spacing) for i in range(n)])
     behind = np.array([_at(points, s, s[i] - 0.5 * spacing) for i in range(n)])
     one, two = points - behind, ahead - points
