@@ -144,9 +144,7 @@ _MOST = 100_000  # points of either kind, about: more and they stand farther apa
 _CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
 _MERGED = 0.125  # of that side: corners nearer to each other count as one
 _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
-_CAPSULE = (
-    0.25  # diameters between the balls of a strut: their common surface is nowhere deeper than 2 % beneath its own
-)
+_CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath its own
 _CHORD = 2e-3  # m that a picture's triangles may leave the true surface
 _ON = 1e-5  # m: as near is on the surface
 _PART = "part"

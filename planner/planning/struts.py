@@ -15,6 +15,7 @@ from planner.cell.solids import packed
 from planner.collision.print_body import tip_slack
 from planner.planning.clearance import may_come_nearer
 from planner.planning.context import PlanningContext
+from planner.resolve.infeasible import descent, into_itself
 from planner.resolve.joint_path import refuse_at
 from planner.toolpath.bead import Bead
 from planner.verify.checks import DIGITS
@@ -46,12 +47,10 @@ def check_struts(given: PlanningContext) -> None:
         at = s[found.at]
         i = task.first + int(np.argmin(np.abs(bead.s - at)))
         name, near = given.cell.head[found.body].name, given.body.name_of(found.point)
-        tangent = np.gradient(bead.points, axis=0)[i - task.first]
-        down = np.degrees(np.arcsin(np.clip(-(tangent @ task.normals[i]) / np.linalg.norm(tangent), -1.0, 1.0)))
+        down = descent(task, i)
         reason = f"collision of {name} with {near}: with the axis that is given every posture lacks {-found.least * 1e3:.2f} mm"
         if near == f"bead {k}" and down > 0.0:
-            reason += f"; the path runs {down:.0f} deg down its own normals here, so that a nozzle on them dips into what it has "
-            reason += "just laid"
+            reason += into_itself(down)
         refuse_at(task, i, reason, hints=lambda: (_HINT,), kind=Blocked)
 
 

@@ -392,10 +392,9 @@ def refuse_rung(
             k = int(np.argmax(margin))
             standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
-            down = _descent(task, i)
+            down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
-                every += f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
-                every += "into what it has just laid"
+                every += into_itself(down)
             refuse(every, kind=Blocked)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
@@ -443,7 +442,15 @@ def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, st
     return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
 
 
-def _descent(task: NozzleTask, i: int) -> float:
+def into_itself(down: float) -> str:
+    """What to say of a path that runs down [rad] its own normals."""
+    return (
+        f"; the path runs {np.degrees(down):.0f} deg down its own normals here, so that a nozzle on them dips "
+        "into what it has just laid"
+    )
+
+
+def descent(task: NozzleTask, i: int) -> float:
     """Angle [rad] by which the path at sample i runs into the surface that its normal stands on."""
     way = task.tip[min(i + 1, len(task) - 1)] - task.tip[max(i - 1, 0)]
     length = float(np.linalg.norm(way))
