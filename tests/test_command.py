@@ -685,6 +685,25 @@ def test_interruption_while_files_change_places(tmp_path: Path, number: int) -> 
         assert outcome.code == 130
 
 
+def test_interruption_of_code_that_was_text(tmp_path: Path) -> None:
+    """CPython kills a module that is run by SIGINT if an interrupt once left an `exec` of a text, though it was caught."""
+    (tmp_path / "interrupted.py").write_text(
+        "import sys\n"
+        "from planner.base import launch\n"
+        "from planner.base.command_line import exit_code\n"
+        "def _interrupt() -> None:\n"
+        "    raise KeyboardInterrupt\n"
+        "def main(arguments: object = None) -> int:\n"
+        "    return exit_code(lambda: exec('interrupt()', {'interrupt': _interrupt}), print)\n"
+        "if __name__ == '__main__':\n"
+        "    launch.COMMANDS['solve'] = launch.CommandModule('interrupted', '')\n"
+        "    sys.exit(launch.launch('solve'))\n"
+    )
+    ended = subprocess.run([sys.executable, "-m", "interrupted"], cwd=tmp_path, env=environment(), capture_output=True)
+    assert ended.stdout == b"interrupted: nothing was written\n"
+    assert ended.returncode == 130
+
+
 @pytest.mark.slow(keep=("SIGINT",))
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_interruption_of_a_real_run(tmp_path: Path, number: int) -> None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
 from planner.base.extras import missing_extra
-from planner.base.signals import terminations_interrupt
+from planner.base.signals import interrupts_answered, terminations_interrupt
 from planner.base.terminal import forgive_output
 
 
@@ -86,6 +86,7 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
         return missing.exit_code
     terminations_interrupt()
     code: int = run(arguments)
+    interrupts_answered()
     gc.freeze()  # what is left goes back to the system as a whole
     return code
 

@@ -35,6 +35,15 @@ def terminations_interrupt() -> None:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
+def interrupts_answered() -> None:
+    """This process ends with its own exit code, though Ctrl-C came while it ran a program that was given as text.
+
+    CPython remembers an interrupt that leaves such a text (NumPy and numba make functions from them), and kills
+    `python -m …` by SIGINT at its end, whoever caught it since. The next text that is run makes it forget.
+    """
+    exec("")
+
+
 def end_with_parent(parent: int) -> None:
     """From here on this process ends with the one that started it, of that number, however that ends (on Linux)."""
     if sys.platform == "linux":
