@@ -210,6 +210,11 @@ def _forbidden_in(path: Path) -> Iterator[str]:
             yield f"line {found.line}: imports {found.module}"
 
 
+def _is_empty_text(arguments: list[ast.expr]) -> bool:
+    """Running nothing at all has an effect of its own: see `interrupts_answered`."""
+    return len(arguments) == 1 and isinstance(arguments[0], ast.Constant) and arguments[0].value == ""
+
+
 def _wrong_nodes(module: ast.Module) -> Iterator[str]:
     for node in ast.walk(module):
         if isinstance(node, ast.Assert):
@@ -217,7 +222,7 @@ def _wrong_nodes(module: ast.Module) -> Iterator[str]:
         elif isinstance(node, ast.Call):
             called = node.func
             # a method of that name (re.compile) is another matter
-            if isinstance(called, ast.Name) and called.id in NEVER_CALLED:
+            if isinstance(called, ast.Name) and called.id in NEVER_CALLED and not _is_empty_text(node.args):
                 yield f"line {node.lineno}: {called.id}()"
             for name in ("allow_pickle", "shell"):
                 if any(k.arg == name and not _is_false(k.value) for k in node.keywords):
