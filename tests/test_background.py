@@ -17,6 +17,7 @@ from planner.base.errors import InputError, PlannerError, Refusal
 from planner.base.processes import Job, in_background, in_halves, in_turn, spare_core
 from planner.collision.scene import NOTHING, obstacles_of
 from planner.plan import Plan
+from planner.plan.seal import sealed
 from planner.planning import pipeline as planning
 from planner.planning.pipeline import write_files
 from planner.resolve.strategies import STRATEGIES
@@ -138,7 +139,8 @@ def test_files_of_two_processes_are_the_same(tmp_path: Path, monkeypatch: pytest
 def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
     plan = small_plan()
-    write_files(replace(plan, checks=(replace(plan.checks[0], ok=False),)), tmp_path, second_process=True)
+    failed = replace(plan, checks=(replace(plan.checks[0], ok=False),))
+    write_files(sealed(failed), tmp_path, second_process=True)
     assert {path.name for path in tmp_path.iterdir()} == {
         "plan.json",
         "trajectory.csv",

@@ -789,7 +789,7 @@ def test_json_is_strict_and_complete():
             "versions",
             "baseline",
         ),
-        *("settings", "dips", "events", "notes", "first_bead"),
+        *("settings", "files", "dips", "events", "notes", "first_bead"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None

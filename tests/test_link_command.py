@@ -17,6 +17,7 @@ from types import SimpleNamespace
 
 import pytest
 from export_fixtures import socket_plan
+from link_ends import as_results
 from rich.console import Console
 from simulate_fixtures import MODULE, program, reader
 
@@ -47,6 +48,7 @@ def files(tmp_path: Path) -> Path:
     made.write_text(text.replace("PROC main()\n", f"PROC main()\n{hello}", 1))
     rows = [f"{n},{-1 if n in (1, 20) else (n - 2) // 6},0,{0.05 * n:.3f},{text}" for n, text in enumerate(LINES, 1)]
     (tmp_path / "Made_lines.csv").write_text("\n".join(["n,bead,layer,t_s,text", *rows, ""]))
+    as_results(tmp_path)
     return made
 
 
@@ -253,6 +255,7 @@ def test_a_program_that_does_not_fit(
     path = files.with_name(name)
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
+    as_results(path.parent)  # as if it had been written so
     assert main(arguments(files, machine)) == code
     assert words in capsys.readouterr().err
     assert not machine.controller.running
@@ -388,6 +391,7 @@ def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest
     texts = rapid_files(socket_plan())
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
+    as_results(tmp_path)
     module = next(tmp_path.glob("*_lines.csv")).name.removesuffix("_lines.csv")
     log = tmp_path / "log.jsonl"
     assert main(["--demo", str(tmp_path / f"{module}.mod"), "--pace", "100", "--quiet", "--log", str(log)]) == 0
@@ -405,6 +409,7 @@ def test_the_demo_solves_anew_what_another_version_wrote(tmp_path: Path, monkeyp
         solved.append(arguments)
         for name, text in rapid_files(socket_plan()).items():
             (tmp_path / name).write_text(text)
+        as_results(tmp_path)
         return 0
 
     monkeypatch.setattr(demo, "FOLDER", tmp_path)

@@ -16,6 +16,7 @@ import pytest
 from export_fixtures import in_modules, make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from link_ends import as_results
 from simulate_fixtures import program as straight
 
 from planner.base.errors import InputError
@@ -384,6 +385,7 @@ def test_silence_stops_the_robot() -> None:
 def test_the_command(tmp_path, capsys) -> None:
     for name, text in rapid_files(in_modules(make_plan(), 50)).items():
         (tmp_path / name).write_text(text, "ascii")
+    as_results(tmp_path)
     assert len(list(tmp_path.glob("*.mod"))) > 2
     made = tmp_path / "BeadwiseStream.mod"  # beside the program's own modules
     with closing(StreamServer("127.0.0.1", 0, 20.0)) as there:

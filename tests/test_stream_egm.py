@@ -16,6 +16,7 @@ from export_fixtures import make_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from link_ends import as_results
 
 from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
@@ -51,6 +52,7 @@ def folder_of(plan: Plan, folder: Path) -> Path:
     (folder / "plan.json").write_text(plan_json(plan), "utf-8")
     with (folder / "trajectory.csv").open("w", encoding="ascii", newline="\n") as table:
         write_table(plan, table)
+    as_results(folder)
     return folder
 
 

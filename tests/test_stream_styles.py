@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 import pytest
 from export_fixtures import demand_plan, socket_plan
+from link_ends import as_results
 from simulate_fixtures import program as straight
 
 from benchmarks.stream_rate import kept
@@ -78,6 +79,7 @@ def test_the_module_drives_output_and_flow() -> None:
 def test_the_command_finds_the_output_of_the_flow(tmp_path) -> None:
     for name, text in rapid_files(demand_plan()).items():
         (tmp_path / name).write_text(text, "ascii")
+    as_results(tmp_path)
     made = tmp_path / "server.mod"
     assert main([str(tmp_path), "--server", str(made)]) == 0
     assert "AOp:=aoDemand,next.flowStart" in made.read_text()
@@ -210,6 +212,7 @@ def test_the_feed_is_strict() -> None:
 def test_the_command_wants_the_board_where_there_are_lines(tmp_path, capsys) -> None:
     for name, text in rapid_files(socket_plan()).items():
         (tmp_path / name).write_text(text, "ascii")
+    as_results(tmp_path)
     assert main([str(tmp_path), "--controller", "127.0.0.1:1"]) == 2
     assert "sends lines to the extruder's board: say where it is" in capsys.readouterr().err
     assert main([str(tmp_path), "--controller", "127.0.0.1:1", "--head", "a b"]) == 2

@@ -37,9 +37,12 @@ Array = NDArray[np.float64]
 
 CHECKS = {
     "all numbers finite",
+    "beads of the toolpath",
     "recorded poses",
     "recorded branch",
     "recorded times and beads",
+    "recorded layers and lengths",
+    "starts and ends at home",
     "recorded speed",
     "material keeps pace",
     "joint range",

@@ -115,6 +115,7 @@ KEYS = {
     "versions": "versions of everything that the result depends on",
     "baseline": "the metrics of strategy as_published in the same cell; empty where it has no plan",
     "settings": "seconds between samples, what --set changed, and the names of terms of the user's own, if any",
+    "files": "SHA-256 of each file that was written with it, by name: the link runs no other",
     "refusal": "where there is no plan at all, in place of what follows checks: reason, place and hints",
 }
 DIP_KEYS = {
@@ -141,8 +142,8 @@ SPLIT_KEYS = {
 DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
 
 
-def plan_json(plan: Plan) -> str:
-    """JSON text of a plan; numbers that are not finite become null."""
+def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
+    """JSON text of a plan; numbers that are not finite become null. files: digests of what is beside it, by name."""
     checks = [
         {"name": c.name, "worst": c.worst, "limit": c.limit, "unit": c.unit, "ok": c.ok, "where": c.where}
         for c in plan.checks
@@ -177,6 +178,7 @@ def plan_json(plan: Plan) -> str:
         "versions": plan.versions,
         "baseline": plan.baseline,
         "settings": plan.settings,
+        "files": files or {},
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from planner.base.errors import OutputError, Refusal
+from planner.base.results import digest
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import FORECAST, Forecast, forecast, forecast_json
 from planner.export.languages import LANGUAGES, chosen
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem import Problem
 
+PLAN = "plan.json"
 LONGEST_HEADER = 20_000  # characters
 
 
@@ -30,8 +32,17 @@ def write_trajectory(plan: Plan, folder: Path) -> Path:
 
 
 def write_plan(plan: Plan, folder: Path) -> Path:
-    """Write plan.json of any plan; returns its path. OutputError where that is impossible."""
-    return _write_text(folder / "plan.json", plan_json(plan))
+    """Write plan.json of any plan, last of all: it lists the files that are there. Returns its path.
+
+    OutputError where that is impossible.
+    """
+    return _write_text(folder / PLAN, plan_json(plan, _digests(folder)))
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of each file beside plan.json, by name."""
+    beside = sorted(path for path in folder.iterdir() if path.is_file() and path.name != PLAN)
+    return {path.name: digest(path) for path in beside}
 
 
 def write_part(plan: Plan, folder: Path) -> None:
@@ -43,7 +54,7 @@ def write_part(plan: Plan, folder: Path) -> None:
 
 def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Path) -> Path:
     """Write the plan.json of a problem that has no plan: not verified, and where and why."""
-    return _write_text(folder / "plan.json", refusal_json(problem, strategy, refusal))
+    return _write_text(folder / PLAN, refusal_json(problem, strategy, refusal))
 
 
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:

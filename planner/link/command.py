@@ -18,6 +18,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.link.as_written import add_edited, program_as_written
 from planner.link.connections import (
     CONNECT_TIME,
     PIECE,
@@ -32,7 +33,7 @@ from planner.link.ftp import HOME as FTP_HOME
 from planner.link.ftp import PORT as FTP_PORT
 from planner.link.ftp import Ftp
 from planner.link.messages import stop as stop_words
-from planner.link.program_lines import NO_BEAD, ProgramLines, read_program_lines
+from planner.link.program_lines import NO_BEAD, ProgramLines, lines_file, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
 from planner.link.robot import RobotWatch, bring, check_ready, check_together, program_files, start, stop_robot
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
@@ -165,6 +166,9 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     files = program_files(options.program)
     lines = read_program_lines(options.program)
     check_together(options.program, files, len(lines))
+    folder = options.program.parent
+    written = [*(name for name in files if (folder / name).is_file()), lines_file(options.program).name]
+    program_as_written(folder, written, options.edited, say)
     problem = _problem_of(files[options.program.name])
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
     with ExitStack() as stack:
@@ -304,6 +308,7 @@ def link_command() -> Command:
     parser.add_argument(
         "--ftp-folder", default=FTP_HOME, metavar="FOLDER", help=f"the controller's HOME there (default {FTP_HOME})"
     )
+    add_edited(parser)
     parser.add_argument("--unload", action="store_true", help="unload the program when it is over")
     parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.export.rapid.reader import read_rapid_files
+from planner.link.as_written import differing
 from planner.link.connections import Address, LinkError
 from planner.link.robot import bring, program_files, start, stop_robot
 from planner.link.rws import Rws
@@ -82,6 +83,8 @@ def _found() -> Path | None:
         return None
     try:
         read_rapid_files({path.name: path.read_text(encoding="utf-8") for path in FOLDER.glob("*.mod")})
+        if differing(FOLDER, [path.name for path in (*FOLDER.glob("*.mod"), *tables)]):
+            return None
     except (InputError, OSError, UnicodeDecodeError):
         return None
     return tables[0].with_name(tables[0].name.removesuffix("_lines.csv") + ".mod")

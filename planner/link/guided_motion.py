@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import socket
 import sys
@@ -13,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -22,6 +20,7 @@ from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
 from planner.base.extras import missing_extra
+from planner.link.as_written import PLAN, add_edited, read_json, table_as_written, within_limits
 from planner.link.connections import Address, parse_address
 from planner.link.feed import BoardFeed, Feed, FeedStopped, feeding
 
@@ -70,7 +69,7 @@ class Limiter:
 PERIOD = 0.004  # s, of EGM
 ARM_AXES = 6
 MOST_EXTERNAL = 6
-LARGEST_PLAN, LARGEST_TABLE = 256 << 20, 2 << 30  # bytes
+LARGEST_TABLE = 2 << 30  # bytes
 LONGEST_STEP = 0.02  # s between samples of a plan
 UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
 
@@ -91,8 +90,8 @@ class JointPlan:
 
 def read_plan(folder: Path) -> JointPlan:
     """The joints of the results in a folder. Raises InputError where they are missing, damaged, or of no such arm."""
-    path = folder / "plan.json"
-    data = _json(path)
+    path = folder / PLAN
+    data = read_json(path)
     try:
         if data["verified"] is not True:
             raise InputError("the plan is not verified", file=path)
@@ -115,20 +114,6 @@ def read_plan(folder: Path) -> JointPlan:
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
     return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1], filament)
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > LARGEST_PLAN:
-            raise InputError(f"larger than {LARGEST_PLAN >> 20} MB", file=path)
-        data = json.loads(path.read_text("utf-8"))
-    except FileNotFoundError as error:
-        raise InputError("no plan here", file=path, hint="solve a problem first: python -m planner.solve") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from error
-    if not isinstance(data, dict):
-        raise InputError("not a plan", file=path)
-    return data
 
 
 def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
@@ -360,6 +345,7 @@ def egm_command() -> Command:
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
     parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
     parser.add_argument("--tool", type=_tool, default=0, metavar="N", help="number of its tool (default 0)")
+    add_edited(parser)
     return parser
 
 
@@ -371,7 +357,10 @@ def _tool(text: str) -> int:
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     messages = egm_messages()
+    cell = table_as_written(options.folder, options.edited, say)
     plan = read_plan(options.folder)
+    if cell is not None:
+        within_limits(cell, plan.q[:, plan.velocity > 0.0], PERIOD, say)
     with listening(options.host, options.port) as here:
         say(f"waiting for the controller on {options.host}:{here.getsockname()[1]} (UDP)")
         if options.head is None:

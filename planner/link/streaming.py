@@ -25,6 +25,7 @@ from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
+from planner.link.as_written import add_edited, program_as_written
 from planner.link.connections import Address, parse_address
 from planner.link.feed import BoardFeed, FeedStopped, feeding
 from planner.link.run import PASSWORD as BOARD_PASSWORD
@@ -438,6 +439,7 @@ def stream_command() -> Command:
     parser.add_argument(
         "--server", type=Path, metavar="FILE", help=f"write {MODULE}.mod for this plan, to be loaded on the controller"
     )
+    add_edited(parser)
     return parser
 
 
@@ -451,6 +453,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     program, demand = program_in(options.folder)
+    program_as_written(options.folder, [path.name for path in modules_in(options.folder)], options.edited, say)
     stream = stream_of(program)
     if options.controller is not None and bool(stream.lines) != (options.head is not None):
         what = "sends lines to the extruder's board: say where it is" if stream.lines else "has no lines for a board"
@@ -482,12 +485,17 @@ def _check_own(path: Path) -> None:
                 raise InputError(f"holds something else than {MODULE}.mod, and stays as it is", file=path)
 
 
+def modules_in(folder: Path) -> list[Path]:
+    """The modules of a folder, but for the server's."""
+    return [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
+
+
 def program_in(folder: Path) -> tuple[RobotProgram, str]:
     """The RAPID program in a folder of results, and its analog output of the flow, if it has one.
 
     Raises InputError where there is none, or it cannot be read.
     """
-    paths = [path for path in sorted(folder.glob("*.mod")) if path.stem != MODULE]
+    paths = modules_in(folder)
     if not paths:
         raise InputError("no RAPID program here", file=folder, hint="solve a problem first: python -m planner.solve")
     if sum(path.stat().st_size for path in paths) > LARGEST:

@@ -205,9 +205,13 @@ COLUMNS: dict[str, Measure] = {
 }
 
 
+ONLY_CHANGED = "the plan was changed after it was verified, and is verified anew"
 # The verifier's checks: unit of the worst value, what holds, and how it is found.
 CHECKS: dict[str, Measure] = {
     "all numbers finite": Measure("that are not", "no number of the trajectory is infinite or undefined", "counted"),
+    "beads of the toolpath": Measure(
+        "that are not", "every sample belongs to a bead of the toolpath, or to travel", "counted"
+    ),
     "recorded poses": Measure(
         "mm",
         "tip and orientation that programs are written from are those of the joints",
@@ -221,6 +225,12 @@ CHECKS: dict[str, Measure] = {
     ),
     "recorded times and beads": Measure(
         "", "samples are evenly spaced, and deposit where they belong to a bead", "counted"
+    ),
+    "recorded layers and lengths": Measure(
+        "", "a bead's samples name its layer, travel's that of a bead beside it and no length along one", "counted"
+    ),
+    "starts and ends at home": Measure(
+        "deg", "the arm starts at home and comes back there", "joints of the first and the last sample"
     ),
     "joint range": Measure(
         "deg", "every joint stays within its range", "distance from the nearer end, over all samples"
@@ -361,5 +371,11 @@ CHECKS: dict[str, Measure] = {
         "mm",
         "robots, head and fixtures keep their distance from each other",
         "see robot_clearance_min_mm; the limit is collision.arm_mm, of the head collision.nozzle_mm",
+    ),
+    "as it was planned": Measure(
+        "parts",
+        "problem, cell and toolpath are those that the plan was made for",
+        "by digests of them",
+        ONLY_CHANGED,
     ),
 }

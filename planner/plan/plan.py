@@ -5,8 +5,8 @@ SI units and radians, but for metrics, whose names have their units, and columns
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -199,6 +199,7 @@ class Plan:
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
     roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
     nearer:   what nozzle and head keep from part and print, where it is less than usual; the problem says it, too
+    seal:     digests of what was verified, and of the verdict, by part (see `planner.plan.seal`); empty if nothing was
     """
 
     problem: Problem
@@ -221,6 +222,7 @@ class Plan:
     paths: tuple[JointPath, ...] = ()
     roll_maps: tuple[RollMap, ...] = ()
     nearer: Nearer | None = None
+    seal: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def first_bead(self) -> int:

@@ -25,8 +25,9 @@ from planner.motion.dips import find_dips
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
-from planner.plan import Nearer, Plan, Trajectory
+from planner.plan import Check, Nearer, Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
+from planner.plan.seal import INPUTS, changed_since, sealed
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
 from planner.planning.context import PlanningContext, context_of
@@ -55,6 +56,7 @@ from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
 RESULTS_BY = "solve"  # whose files they are, in manifests
+AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
@@ -141,7 +143,7 @@ def solve(
     if tolerance is not None:
         with stages.stage("tolerance"):
             judged = _headroom(tolerance, problem, cell, toolpath, rest, planned.travels, report, dt, second_process)
-    return Plan(
+    plan = Plan(
         problem=problem,
         cell=cell,
         toolpath=toolpath,
@@ -163,6 +165,7 @@ def solve(
         roll_maps=maps,
         nearer=nearer,
     )
+    return sealed(plan)
 
 
 def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
@@ -493,7 +496,8 @@ def _baseline(given: PlanningContext, dt: float) -> dict[str, dict[str, float]]:
 def write(plan: Plan, folder: str | Path) -> Plan:
     """Write a plan's files into a folder, as the command does, in place of an earlier plan's: all or none of them.
 
-    plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one.
+    plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one. A plan
+    that was changed since it was verified is verified anew: what is written is judged as it is.
     Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
     """
     with results_folder(Path(folder), RESULTS_BY) as fresh:
@@ -506,6 +510,7 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
     Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
     """
     stages = stages or Stages()
+    plan = as_it_is(plan, stages)
     with stages.stage("export"):
         if not plan.verified:
             _write_tables(plan, folder, tuple)
@@ -518,6 +523,33 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
     plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
     write_plan(plan, folder)
     return plan
+
+
+def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
+    """The plan with the verdict on what it holds now: its own if nothing was changed since, or one of a new verification.
+
+    What was verified against (problem, cell, toolpath) must be what was planned for: a check of its own fails otherwise,
+    and so does that on a tolerance, which only `solve` can judge.
+    """
+    changed = changed_since(plan)
+    if not changed:
+        return plan
+    stages = stages or Stages()
+    with stages.stage("verify"):
+        report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
+    other = [name for name in changed if name in INPUTS] + ([] if plan.headroom is None else ["tolerance"])
+    unlike = [Check(AS_PLANNED, float(len(other)), 0.0, "parts", False, f"changed since: {', '.join(other)}")]
+    return sealed(
+        replace(
+            plan,
+            checks=(*report.checks, *(unlike if other else ())),
+            metrics=plan.metrics | report.metrics,
+            series=report.series,
+            approaches=report.approaches,
+            view=report.view,
+            dips=(),
+        )
+    )
 
 
 def _written(programs: Callable[[], object], folder: Path) -> tuple[str, ...]:

@@ -240,7 +240,8 @@ def _kept(cell: Cell, trajectory: Trajectory, tolerance: float) -> tuple[Indices
     worst, open_ = 0.0, np.ones(len(kept) - 1, dtype=bool)
     while open_.any():  # then every sample of the stretches that were not looked at whole
         stretch = np.searchsorted(kept, np.arange(n), side="right") - 1
-        looked = np.flatnonzero(open_[np.minimum(stretch, len(open_) - 1)] & (stretch < len(open_)))
+        between = ~np.isin(np.arange(n), kept)  # a posture that is kept is where it is, whatever the tip is said to be
+        looked = np.flatnonzero(open_[np.minimum(stretch, len(open_) - 1)] & between)
         k = stretch[looked]
         off = _off(cell, trajectory, looked, kept[k], kept[k + 1])
         bad = off > tolerance

@@ -13,13 +13,15 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from planner.base.arrays import Array
+from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.cell.cell import Cell
 from planner.collision.print_body import PrintBody, print_body, standing
-from planner.plan import Approach, CellView, Check, Trajectory
+from planner.plan import TRAVEL, Approach, CellView, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import (
@@ -43,6 +45,7 @@ from planner.verify.nozzle import beyond, by_the_tip
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
 SPEED_RECORD = 1e-3  # m/s, recorded speed off the mean of two steps, beyond what four steps differ by
+AT_HOME = 1e-6  # rad or m, by which the motion may start or end beside home
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 BLOCK = 32768  # samples
 # Checks that fail where a motion keeps to its path at the samples but not between them.
@@ -69,11 +72,14 @@ def verify(
 ) -> Report:
     """Check a trajectory against the cell's limits and the input geometry; a failed check is reported, not raised.
 
+    Raises InputError for arrays of a trajectory that have different lengths: there are no samples to judge, then.
+
     body: part and print as obstacles, as `print_body` makes them of this toolpath and cell; made if not given.
 
     Distances are found in threads beside the rest: their compiled loops release the GIL.
     """
-    trajectory, finite = _finite(trajectory)
+    trajectory, finite = _finite(_samples(trajectory))
+    trajectory, numbered = _numbered(trajectory, len(toolpath.beads))
     body = body or print_body(toolpath, standing(cell))
     with ThreadPoolExecutor() as pool:
         apart = pool.submit(sweep_cell, problem, cell, toolpath, trajectory, body)
@@ -81,6 +87,7 @@ def verify(
         near = pool.submit(by_the_tip, judged), pool.submit(beyond, judged)
         parts = [
             finite,
+            numbered,
             _records(judged),
             _limits(judged),
             _geometry(judged),
@@ -94,6 +101,25 @@ def verify(
         distances, approaches = keep_apart(judged, (near[0].result(), near[1].result()), apart.result())
     found = joined([*parts, distances])
     return Report(found.checks, dict(found.metrics), dict(found.series), approaches, apart.result().view)
+
+
+def _samples(t: Trajectory) -> Trajectory:
+    """The trajectory. Raises InputError unless all of its arrays have a row for each sample."""
+    rows = {name: len(value) for name, value in vars(t).items() if isinstance(value, np.ndarray)}
+    odd = next((name for name, count in rows.items() if count != len(t)), None)
+    if odd is not None or not len(t):
+        raise InputError(f"{rows[odd] if odd else 0} rows for {len(t)} samples", field=f"trajectory.{odd or 't'}")
+    return t
+
+
+def _numbered(t: Trajectory, beads: int) -> tuple[Trajectory, Findings]:
+    """The trajectory with travel in place of samples of beads that the toolpath does not have, and the check on these."""
+    first = min(max(t.first_bead, 0), beads - 1)
+    unknown = (t.bead != TRAVEL) & ((t.bead < first) | (t.bead >= beads))
+    odd = unknown | (t.first_bead != first)
+    if odd.any():
+        t = replace(t, bead=np.where(unknown, TRAVEL, t.bead), first_bead=first)
+    return t, Findings((check_most(t, "beads of the toolpath", odd.astype(float), 0.0, "that are not"),))
 
 
 def _finite(t: Trajectory) -> tuple[Trajectory, Findings]:
@@ -124,7 +150,31 @@ def _records(judged: Judged) -> Findings:
         checks.append(check_most(t, "recorded branch", (motion.branch != t.branch).astype(float), 0.0, ""))
     odd = (np.abs(t.t - np.arange(len(t)) * t.dt) > DIGITS) | (t.deposit != (t.bead >= 0))
     checks.append(check_most(t, "recorded times and beads", odd.astype(float), 0.0, ""))
-    return Findings(tuple(checks))
+    astray = (t.bead == TRAVEL) & (t.s != 0.0) | (_layers_around(judged) != t.layer[:, None]).all(axis=1)
+    checks.append(check_most(t, "recorded layers and lengths", astray.astype(float), 0.0, ""))
+    return Findings((*checks, _home(judged)))
+
+
+def _layers_around(judged: Judged) -> NDArray[np.int64]:
+    """Layers (n, 2) of the bead that each sample belongs to, or of those before and after it in travel."""
+    t, k = judged.trajectory, np.arange(len(judged.trajectory))
+    on = t.bead != TRAVEL
+    before = np.maximum.accumulate(np.where(on, k, -1))
+    after = np.minimum.accumulate(np.where(on, k, len(t))[::-1])[::-1]
+    before, after = np.where(before < 0, after, before), np.where(after == len(t), before, after)
+    layers = np.array([bead.layer for bead in judged.toolpath.beads])
+    if not on.any():
+        return np.broadcast_to(t.layer[:, None], (len(t), 2))  # that nothing is laid is another check's
+    return layers[t.bead[np.column_stack([before, after])]]
+
+
+def _home(judged: Judged) -> Check:
+    """The arm starts at home and comes back there; the positioner starts where the first bead wants it."""
+    t, arm = judged.trajectory, len(judged.cell.arm)
+    off = np.zeros(len(t))
+    for k in (0, -1):
+        off[k] = max(off[k], np.abs(t.q[k, :arm] - judged.cell.home[:arm]).max())
+    return check_most(t, "starts and ends at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
 
 
 def _limits(judged: Judged) -> Findings:
@@ -294,7 +344,8 @@ def _speed(judged: Judged) -> Findings:
     around = np.stack(
         [np.concatenate([before[:1], before[:-1]]), before, after, np.concatenate([after[1:], after[-1:]])]
     )
-    claim = np.where(t.deposit, np.abs(t.speed - mean) - np.ptp(around, axis=0), 0.0)
+    own = np.linalg.norm(np.gradient(motion.tip, t.dt, axis=0), axis=1) if len(t) > 1 else np.zeros(1)
+    claim = np.where(t.deposit, np.abs(t.speed - mean) - np.ptp(around, axis=0), np.abs(t.speed - own))
     travel = np.where(t.deposit, 0.0, mean)
     slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
