@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -20,9 +20,9 @@ from requests.auth import HTTPBasicAuth, HTTPDigestAuth
 from simulate_fixtures import MODULE, program
 
 from planner.base.errors import InputError
-from planner.link import demo, robot
+from planner.link import command, demo, robot
 from planner.link import rws as client
-from planner.link.connections import Address, Cutter, LinkError, Secret
+from planner.link.connections import Address, Cutter, LinkError, Secret, part
 from planner.link.ftp import Ftp
 from planner.link.robot import RobotWatch, bring, start, stop_robot
 from planner.link.rws import USER, Rws
@@ -317,6 +317,56 @@ def test_stopping_goes_on_past_whatever_is_answered() -> None:
         since = time.monotonic()
         assert stop_robot(rws) is None
         assert not controller.running and time.monotonic() - since < robot.STOP_TIME
+
+
+@contextmanager
+def dripping(seconds: float) -> Iterator[Address]:
+    """A server that answers each connection a byte at a time, so many seconds apart, and never ends."""
+    over = threading.Event()
+
+    def drip(made: socket.socket) -> None:
+        with made, suppress(OSError):
+            for byte in b"HTTP/1.1 200 OK\r\nContent-Length: 9000\r\n\r\n" + b" " * 9000:
+                made.sendall(bytes([byte]))
+                if over.wait(seconds):
+                    return
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                threading.Thread(target=drip, args=(listener.accept()[0],), daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, daemon=True).start()
+        yield Address(*listener.getsockname())
+        over.set()
+        listener.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.parametrize(("version", "scheme"), [(1, "http"), (2, "http"), (2, "https")])
+def test_a_controller_that_only_drips_holds_no_stop(version: int, scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every answer of every session, in the header and in the handshake, too: stopping ends, and says that it failed."""
+    for name, value in (("STOP_TIME", 1.0), ("STOPPING_TIME", 0.3)):
+        monkeypatch.setattr(robot, name, value)
+    monkeypatch.setattr(client, "STOP_TIME", 0.4)
+    with dripping(0.15) as address:
+        since = time.monotonic()
+        assert "do not answer in time" in str(stop_robot(Rws(address, version, USER, Secret(PASSWORD), scheme=scheme)))
+        assert time.monotonic() - since < 2.5
+
+
+def test_a_peer_that_drips_does_not_hold_the_last_words() -> None:
+    """Neither of the relay, the stream and the board, nor those that turn a program away which cannot be stopped otherwise."""
+    with dripping(0.1) as address, socket.create_connection((address.host, address.port)) as made:
+        since = time.monotonic()
+        part(made, b"S over\n", 0.5)
+        assert time.monotonic() - since < 1.0
+    with dripping(0.1) as address:
+        since = time.monotonic()
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(command, "CONNECT_TIME", 0.5)
+            command._turn_away(address)
+        assert time.monotonic() - since < 1.5
 
 
 def test_a_busy_controller_is_asked_again() -> None:

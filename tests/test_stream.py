@@ -309,6 +309,15 @@ def test_it_says_that_it_is_there_and_notices_silence() -> None:
         sender.due(PATIENCE + 11.0)
 
 
+def test_half_a_word_is_silence() -> None:
+    sender = begun()
+    limit = PATIENCE + 100.0
+    for k, byte in enumerate(b"C 4"):
+        sender.receive(bytes([byte]), limit / 2 * (k + 1))
+    with pytest.raises(StreamStopped, match="said nothing for"):
+        sender.due(1.5 * limit)
+
+
 def test_a_stop_is_understood_even_where_a_frame_has_gone_in_part() -> None:
     sender = begun()
     sender.receive(b"C 8 3\n", 0.1)
