@@ -229,6 +229,20 @@ def test_what_version_2_refuses(method: str, path: str, body: str | None, header
         assert raw(server, 2)(method, path, body, **headers) == status
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_page_in_a_browser_is_refused_whatever_it_knows(version: int) -> None:
+    """ABB's own password is no secret, and a browser adds a user's by itself."""
+    with serving(version) as (server, controller):
+        ask = raw(server, version)
+        stop = "/rw/rapid/execution/stop" if version == 2 else "/rw/rapid/execution?action=stop"
+        kind = {"Content-Type": FORM[version]}
+        for header in ({"Origin": "http://elsewhere.example"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}):
+            assert ask("POST", stop, None, **kind, **header) == 403
+            assert ask("PUT", "/fileservice/$HOME/x.mod", "x", **header) == 403
+        assert controller.files() == [] and server.requests() == []
+        assert ask("POST", stop, None, **kind) == 204
+
+
 def test_loading_while_something_runs_is_refused() -> None:
     with serving() as (server, controller), closing(session(server)) as rws:
         bring(rws, files_of(MODULE), silent)
@@ -537,6 +551,14 @@ def ftp_serving(*faults: str) -> Iterator[tuple[Address, Controller]]:
         closing(FtpServer("127.0.0.1", 0, controller, access, faults_of(faults, FTP_FAULTS))) as server,
     ):
         yield Address(*server.address), controller
+
+
+def test_ftp_is_closed_to_a_page_in_a_browser() -> None:
+    with ftp_serving() as (address, _), socket.create_connection((address.host, address.port), timeout=2.0) as page:
+        assert page.recv(100) == b"220 ready\r\n"
+        with suppress(OSError):
+            page.sendall(f"POST / HTTP/1.1\r\n\r\nUSER {USER}\r\nPASS {PASSWORD}\r\n".encode())
+            assert page.recv(100) == b""
 
 
 def test_files_over_ftp() -> None:

@@ -447,6 +447,9 @@ class _Handler(BaseHTTPRequestHandler):
         query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         self._json_asked = query.get("json") == "1" or (desk.two and "xhtml" not in self.headers.get("Accept", ""))
         try:
+            if self._from_a_page():
+                self.close_connection = True
+                raise Denied(403, "requests of other pages are refused")
             body = self._body(LARGEST_FILE if method == "PUT" else LONGEST_FORM)
             if desk.controller.silent:
                 raise Denied(503, "restarting")
@@ -463,6 +466,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._act_with_faults(asked)
         except Denied as denied:
             self._reply(denied.status, self._written([], denied.reason))
+
+    def _from_a_page(self) -> bool:
+        """Whether a page of elsewhere in a browser sent this: it might know the password, which is ABB's own unless said."""
+        origin = self.headers.get("Origin")  # that of a web socket is this server
+        elsewhere = origin is not None and urlsplit(origin).netloc != self.headers.get("Host")
+        return elsewhere or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
 
     def _act_with_faults(self, asked: _Request) -> None:
         found = self.the_desk.fault(f"{asked.method} {self.path}")
