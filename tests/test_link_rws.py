@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from urllib.request import parse_http_list, parse_keqv_list
 
 import pytest
 import requests
@@ -26,6 +27,7 @@ from planner.link.connections import Address, Cutter, LinkError, Secret, part
 from planner.link.ftp import Ftp
 from planner.link.robot import RobotWatch, bring, start, stop_robot
 from planner.link.rws import USER, Rws
+from planner.simulate import rws as simulated
 from planner.simulate.board import faults_of
 from planner.simulate.controller import OTHER_PROGRAM, Controller
 from planner.simulate.ftp import FTP_FAULTS, FtpAccess, FtpServer
@@ -227,6 +229,64 @@ def test_what_version_2_refuses(method: str, path: str, body: str | None, header
         for name, data in files_of(MODULE).items():
             controller.put(f"$HOME/{name}", data)
         assert raw(server, 2)(method, path, body, **headers) == status
+
+
+def answers(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
+    """The fields of each digest that comes, and whether it was let in."""
+    came: list[dict[str, str]] = []
+    real = simulated._Desk.lets_in
+
+    def note(desk: object, method: str, path: str, header: str) -> bool:
+        let_in = real(desk, method, path, header)  # type: ignore[arg-type]
+        came.append(parse_keqv_list(parse_http_list(header.partition(" ")[2])) | {"in": str(let_in)})
+        return let_in
+
+    monkeypatch.setattr(simulated._Desk, "lets_in", note)
+    return came
+
+
+def test_each_digest_counts_one_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One challenge a session; then nc rises by one with each request, and no cnonce comes twice."""
+    came = answers(monkeypatch)
+    with serving(faults=("busy@2",)) as (server, _), closing(session(server)) as rws, closing(session(server)) as other:
+        for _ in range(4):
+            rws.mode()
+        other.mode()
+        assert [each["in"] for each in came] == ["False", *["True"] * 5, "False", "True"]
+        digests = came[1:6]
+        assert [each["nc"] for each in digests] == [f"{k:08x}" for k in range(1, 6)]
+        assert len({each["nonce"] for each in digests}) == 1 and len({each["cnonce"] for each in digests}) == 5
+        assert came[7]["nonce"] != digests[0]["nonce"] and came[7]["nc"] == "00000001"
+
+
+def test_a_digest_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither again, nor with an older count, nor for another path, nor without a count or a cnonce."""
+    with serving() as (server, _):
+        url = "http://{}:{}".format(*server.address)
+        auth, path = HTTPDigestAuth(USER, PASSWORD), "/rw/panel/opmode"
+        assert requests.get(url + path, auth=auth, timeout=5.0).status_code == 200
+
+        def ask(header: str | None, path: str = path) -> int:
+            assert header is not None
+            return requests.get(url + path, headers={"Authorization": header}, timeout=5.0).status_code
+
+        second, third = (auth.build_digest_header("GET", url + path) for _ in range(2))
+        assert [ask(third), ask(third), ask(second)] == [200, 401, 401]
+        fourth = str(auth.build_digest_header("GET", url + path))
+        assert ask(fourth, "/rw/rapid/execution") == 401
+        for name in ("nc=", "cnonce=", "qop=", "nonce="):
+            assert ask(fourth.replace(name, f"x{name}")) == 401
+        assert ask(fourth.replace('nonce="', 'nonce="0')) == 401
+        assert ask(fourth) == 200
+        for header in ("Digest", "Digest nc", "Digest é", 'Digest username="', "Basic x"):
+            assert ask(header) == 401
+
+
+@pytest.mark.parametrize("user", ['a"b', "a\\b", "a\nb", "Ж"])
+def test_a_user_that_digest_cannot_say_is_told(user: str) -> None:
+    with pytest.raises(InputError, match="cannot be a user of Robot Web Services 1"):
+        Rws(Address("127.0.0.1", 1), 1, user, Secret(PASSWORD))
+    Rws(Address("127.0.0.1", 1), 2, user, Secret(PASSWORD))
 
 
 @pytest.mark.parametrize("version", [1, 2])
