@@ -364,6 +364,12 @@ def test_whatever_goes_wrong_stops_both(fault: str, said: str, there_said: str) 
         assert until_over(there) == there_said
 
 
+def test_a_page_in_a_browser_streams_no_move() -> None:
+    with closing(StreamServer("127.0.0.1", 0)) as there, closing(socket.create_connection(there.address)) as page:
+        page.sendall(b"POST / HTTP/1.1\r\nContent-Length: 500\r\n\r\n" + b"x" * 500)
+        assert until_over(there) not in ("", "finished") and there.state().done == 0
+
+
 def test_an_interrupt_stops_the_robot() -> None:
     def interrupt(text: str) -> None:
         if not text.startswith("0 of"):
