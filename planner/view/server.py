@@ -310,7 +310,10 @@ class _Enter(_Open):
         root = self._view.root
         self.set_header("Set-Cookie", f"{COOKIE}={session}; Path={root}; HttpOnly; SameSite=Strict")
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.finish(f'<!doctype html><title>Live view</title><meta http-equiv=refresh content="0; url={root}">\n')
+        self.finish(
+            f'<!doctype html><title>Live view</title><meta http-equiv=refresh content="0; url={root}">'
+            f'<a href="{root}">To the live view</a>\n'  # for browsers that do not move on by themselves
+        )
 
 
 class _Handler(_Open):
