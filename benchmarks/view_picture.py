@@ -52,6 +52,7 @@ def _picture(url: str, problem: Path, path: Path) -> None:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
         page = browser.new_page(viewport=SIZE)
         page.goto(url)
+        page.wait_for_url(lambda there: "/enter/" not in there)
         _until_idle(page)
         problem.write_text(problem.read_text(encoding="utf-8").replace(*EDIT), encoding="utf-8")
         time.sleep(1.0)

@@ -9,8 +9,9 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from urllib.request import parse_http_list, parse_keqv_list
 
 import pytest
 import requests
@@ -20,12 +21,13 @@ from requests.auth import HTTPBasicAuth, HTTPDigestAuth
 from simulate_fixtures import MODULE, program
 
 from planner.base.errors import InputError
-from planner.link import demo, robot
+from planner.link import command, demo, robot
 from planner.link import rws as client
-from planner.link.connections import Address, Cutter, LinkError, Secret
+from planner.link.connections import Address, Cutter, LinkError, Secret, part
 from planner.link.ftp import Ftp
 from planner.link.robot import RobotWatch, bring, start, stop_robot
 from planner.link.rws import USER, Rws
+from planner.simulate import rws as simulated
 from planner.simulate.board import faults_of
 from planner.simulate.controller import OTHER_PROGRAM, Controller
 from planner.simulate.ftp import FTP_FAULTS, FtpAccess, FtpServer
@@ -229,6 +231,78 @@ def test_what_version_2_refuses(method: str, path: str, body: str | None, header
         assert raw(server, 2)(method, path, body, **headers) == status
 
 
+def answers(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, str]]:
+    """The fields of each digest that comes, and whether it was let in."""
+    came: list[dict[str, str]] = []
+    real = simulated._Desk.lets_in
+
+    def note(desk: object, method: str, path: str, header: str) -> bool:
+        let_in = real(desk, method, path, header)  # type: ignore[arg-type]
+        came.append(parse_keqv_list(parse_http_list(header.partition(" ")[2])) | {"in": str(let_in)})
+        return let_in
+
+    monkeypatch.setattr(simulated._Desk, "lets_in", note)
+    return came
+
+
+def test_each_digest_counts_one_further(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One challenge a session; then nc rises by one with each request, and no cnonce comes twice."""
+    came = answers(monkeypatch)
+    with serving(faults=("busy@2",)) as (server, _), closing(session(server)) as rws, closing(session(server)) as other:
+        for _ in range(4):
+            rws.mode()
+        other.mode()
+        assert [each["in"] for each in came] == ["False", *["True"] * 5, "False", "True"]
+        digests = came[1:6]
+        assert [each["nc"] for each in digests] == [f"{k:08x}" for k in range(1, 6)]
+        assert len({each["nonce"] for each in digests}) == 1 and len({each["cnonce"] for each in digests}) == 5
+        assert came[7]["nonce"] != digests[0]["nonce"] and came[7]["nc"] == "00000001"
+
+
+def test_a_digest_is_taken_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither again, nor with an older count, nor for another path, nor without a count or a cnonce."""
+    with serving() as (server, _):
+        url = "http://{}:{}".format(*server.address)
+        auth, path = HTTPDigestAuth(USER, PASSWORD), "/rw/panel/opmode"
+        assert requests.get(url + path, auth=auth, timeout=5.0).status_code == 200
+
+        def ask(header: str | None, path: str = path) -> int:
+            assert header is not None
+            return requests.get(url + path, headers={"Authorization": header}, timeout=5.0).status_code
+
+        second, third = (auth.build_digest_header("GET", url + path) for _ in range(2))
+        assert [ask(third), ask(third), ask(second)] == [200, 401, 401]
+        fourth = str(auth.build_digest_header("GET", url + path))
+        assert ask(fourth, "/rw/rapid/execution") == 401
+        for name in ("nc=", "cnonce=", "qop=", "nonce="):
+            assert ask(fourth.replace(name, f"x{name}")) == 401
+        assert ask(fourth.replace('nonce="', 'nonce="0')) == 401
+        assert ask(fourth) == 200
+        for header in ("Digest", "Digest nc", "Digest é", 'Digest username="', "Basic x"):
+            assert ask(header) == 401
+
+
+@pytest.mark.parametrize("user", ['a"b', "a\\b", "a\nb", "Ж"])
+def test_a_user_that_digest_cannot_say_is_told(user: str) -> None:
+    with pytest.raises(InputError, match="cannot be a user of Robot Web Services 1"):
+        Rws(Address("127.0.0.1", 1), 1, user, Secret(PASSWORD))
+    Rws(Address("127.0.0.1", 1), 2, user, Secret(PASSWORD))
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_page_in_a_browser_is_refused_whatever_it_knows(version: int) -> None:
+    """ABB's own password is no secret, and a browser adds a user's by itself."""
+    with serving(version) as (server, controller):
+        ask = raw(server, version)
+        stop = "/rw/rapid/execution/stop" if version == 2 else "/rw/rapid/execution?action=stop"
+        kind = {"Content-Type": FORM[version]}
+        for header in ({"Origin": "http://elsewhere.example"}, {"Origin": "null"}, {"Sec-Fetch-Site": "cross-site"}):
+            assert ask("POST", stop, None, **kind, **header) == 403
+            assert ask("PUT", "/fileservice/$HOME/x.mod", "x", **header) == 403
+        assert controller.files() == [] and server.requests() == []
+        assert ask("POST", stop, None, **kind) == 204
+
+
 def test_loading_while_something_runs_is_refused() -> None:
     with serving() as (server, controller), closing(session(server)) as rws:
         bring(rws, files_of(MODULE), silent)
@@ -317,6 +391,56 @@ def test_stopping_goes_on_past_whatever_is_answered() -> None:
         since = time.monotonic()
         assert stop_robot(rws) is None
         assert not controller.running and time.monotonic() - since < robot.STOP_TIME
+
+
+@contextmanager
+def dripping(seconds: float) -> Iterator[Address]:
+    """A server that answers each connection a byte at a time, so many seconds apart, and never ends."""
+    over = threading.Event()
+
+    def drip(made: socket.socket) -> None:
+        with made, suppress(OSError):
+            for byte in b"HTTP/1.1 200 OK\r\nContent-Length: 9000\r\n\r\n" + b" " * 9000:
+                made.sendall(bytes([byte]))
+                if over.wait(seconds):
+                    return
+
+    def serve() -> None:
+        with suppress(OSError):
+            while True:
+                threading.Thread(target=drip, args=(listener.accept()[0],), daemon=True).start()
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=serve, daemon=True).start()
+        yield Address(*listener.getsockname())
+        over.set()
+        listener.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.parametrize(("version", "scheme"), [(1, "http"), (2, "http"), (2, "https")])
+def test_a_controller_that_only_drips_holds_no_stop(version: int, scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every answer of every session, in the header and in the handshake, too: stopping ends, and says that it failed."""
+    for name, value in (("STOP_TIME", 1.0), ("STOPPING_TIME", 0.3)):
+        monkeypatch.setattr(robot, name, value)
+    monkeypatch.setattr(client, "STOP_TIME", 0.4)
+    with dripping(0.15) as address:
+        since = time.monotonic()
+        assert "do not answer in time" in str(stop_robot(Rws(address, version, USER, Secret(PASSWORD), scheme=scheme)))
+        assert time.monotonic() - since < 2.5
+
+
+def test_a_peer_that_drips_does_not_hold_the_last_words() -> None:
+    """Neither of the relay, the stream and the board, nor those that turn a program away which cannot be stopped otherwise."""
+    with dripping(0.1) as address, socket.create_connection((address.host, address.port)) as made:
+        since = time.monotonic()
+        part(made, b"S over\n", 0.5)
+        assert time.monotonic() - since < 1.0
+    with dripping(0.1) as address:
+        since = time.monotonic()
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(command, "CONNECT_TIME", 0.5)
+            command._turn_away(address)
+        assert time.monotonic() - since < 1.5
 
 
 def test_a_busy_controller_is_asked_again() -> None:
@@ -487,6 +611,14 @@ def ftp_serving(*faults: str) -> Iterator[tuple[Address, Controller]]:
         closing(FtpServer("127.0.0.1", 0, controller, access, faults_of(faults, FTP_FAULTS))) as server,
     ):
         yield Address(*server.address), controller
+
+
+def test_ftp_is_closed_to_a_page_in_a_browser() -> None:
+    with ftp_serving() as (address, _), socket.create_connection((address.host, address.port), timeout=2.0) as page:
+        assert page.recv(100) == b"220 ready\r\n"
+        with suppress(OSError):
+            page.sendall(f"POST / HTTP/1.1\r\n\r\nUSER {USER}\r\nPASS {PASSWORD}\r\n".encode())
+            assert page.recv(100) == b""
 
 
 def test_files_over_ftp() -> None:

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import socket
 import time
-from contextlib import closing
+from contextlib import closing, suppress
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planner.base.errors import InputError
+from planner.simulate import servers
 from planner.simulate.board import AMBIENT_C, BOARD_FAULTS, LONGEST_LINE, NOZZLE, QUEUE, Board, Faults, faults_of
-from planner.simulate.servers import DISCARDED, BoardServer
+from planner.simulate.servers import DISCARDED, TURNED_AWAY, BoardServer, is_http
 
 
 def framed(n: int, text: str) -> bytes:
@@ -227,3 +228,33 @@ def test_password_of_the_board() -> None:
         assert heard(one, 1) == b"Log in successful!\r\n"
         one.sendall(b"M83\n")
         assert heard(one, 1) == b"ok\r\n"
+
+
+@pytest.mark.parametrize(
+    "head", ["POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n", "PUT /x HTTP/1.1\r\n", "OPTIONS * HTTP/1.1\r\n"]
+)
+@pytest.mark.parametrize("pieces", [1, 3])
+def test_a_page_in_a_browser_cannot_post_to_the_board(head: str, pieces: int, monkeypatch) -> None:
+    """A body that comes once the board throws nothing away any more is not taken for G-code; the next one is served."""
+    monkeypatch.setattr(servers, "DISCARDED", 0.1)
+    with closing(BoardServer("127.0.0.1", 0, tool=0)) as server:
+        with closing(socket.create_connection(server.address)) as page:
+            page.settimeout(2.0)
+            data = f"{head}Content-Length: 30\r\n\r\n".encode()
+            for k in range(pieces):
+                page.sendall(data[3 * k : None if k == pieces - 1 else 3 * (k + 1)])
+                time.sleep(0.02)
+            time.sleep(0.15)
+            with suppress(OSError):
+                page.sendall(b"M83\nG1 E5 F300\nM106 P0 S1\n")
+                assert page.recv(100) == b""
+        record = server.record()
+        assert record.accepted == [] and record.fans == {} and record.warnings == [TURNED_AWAY]
+        with closing(connected(server)) as link:
+            link.sendall(b"M115\n")
+            assert b"ok" in heard(link, 2)
+
+
+def test_no_line_of_a_board_is_http() -> None:
+    for line in (b"M83", b"G1 E5 F300", b"N1 T0*22", b"M98 P/sys/x.g", b"T0", b"PASSWORD 1", b""):
+        assert not is_http(line)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import time
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.simulate.controller import OUTPUT, SEND, SETTLE, Controller, own_clock, played_motion
 from planner.simulate.rws import FILES_V2, FORM_V2, USER, Access, RwsServer
-from planner.simulate.servers import TIMEOUT, WINDOW
+from planner.simulate.servers import TIMEOUT, WINDOW, Ended, ProgramSocket
 from planner.simulate.start import Simulated, start
 
 LINES = tuple(f"G1 E{0.1 + 0.01 * k:.3f} F300" for k in range(40))
@@ -342,3 +343,14 @@ def test_version_2_with_a_certificate(tmp_path) -> None:
         assert post("/rw/rapid/execution/resetpp") == 204
         assert session.get(base + "/rw/rapid/tasks").json()["_embedded"]["resources"][0]["name"] == "T_ROB1"
         assert post("/rw/rapid/execution/stop") == 204
+
+
+def test_a_page_in_a_browser_ends_a_program_and_moves_nothing() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener, socket.create_connection(listener.getsockname()) as there:
+        here, _ = listener.accept()
+        lines = ProgramSocket(here)
+        there.sendall(b"POST / HTTP/1.1\r\nContent-Length: 4\r\n\r\nG 1\n")
+        with pytest.raises(Ended, match=r"unknown answer|garbage"):
+            lines.listen(1.0)
+        assert not lines.begun
+        here.close()

@@ -310,6 +310,15 @@ def test_it_says_that_it_is_there_and_notices_silence() -> None:
         sender.due(PATIENCE + 11.0)
 
 
+def test_half_a_word_is_silence() -> None:
+    sender = begun()
+    limit = PATIENCE + 100.0
+    for k, byte in enumerate(b"C 4"):
+        sender.receive(bytes([byte]), limit / 2 * (k + 1))
+    with pytest.raises(StreamStopped, match="said nothing for"):
+        sender.due(1.5 * limit)
+
+
 def test_a_stop_is_understood_even_where_a_frame_has_gone_in_part() -> None:
     sender = begun()
     sender.receive(b"C 8 3\n", 0.1)
@@ -354,6 +363,12 @@ def test_whatever_goes_wrong_stops_both(fault: str, said: str, there_said: str) 
         with pytest.raises(StreamStopped, match=said):
             send(stream_of(printed()), *there.address, silent)
         assert until_over(there) == there_said
+
+
+def test_a_page_in_a_browser_streams_no_move() -> None:
+    with closing(StreamServer("127.0.0.1", 0)) as there, closing(socket.create_connection(there.address)) as page:
+        page.sendall(b"POST / HTTP/1.1\r\nContent-Length: 500\r\n\r\n" + b"x" * 500)
+        assert until_over(there) not in ("", "finished") and there.state().done == 0
 
 
 def test_an_interrupt_stops_the_robot() -> None:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import builtins
 import json
+import socket
+import threading
 import time
-from contextlib import closing
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,8 +24,10 @@ from link_ends import as_results
 from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
 from planner.export.tables import write_table
+from planner.link import egm_wire as egm_wire_module
 from planner.link import guided_motion as egm
 from planner.link.connections import Address
+from planner.link.egm_wire import EgmState, EgmWire, egm_wire
 from planner.link.feed import Feed, FeedStopped, feeding
 from planner.link.guided_motion import (
     DEVIATION,
@@ -31,7 +36,6 @@ from planner.link.guided_motion import (
     NEAR_START,
     PERIOD,
     SLICE,
-    EgmState,
     EgmStopped,
     FilamentFeed,
     Follower,
@@ -283,13 +287,15 @@ def short() -> JointPlan:
     return JointPlan(q, np.full(6, 3.0), np.full(6, 20.0))
 
 
-def wired(faults: tuple[str, ...] = (), say=lambda text: None) -> tuple[np.ndarray, EgmRobot]:
-    messages = egm.egm_messages()
-    with egm.listening("127.0.0.1", 0) as here:
-        start = np.degrees(short().q[0])
-        robot = EgmRobot(here.getsockname(), start, 4.0, faults_of(faults, EGM_FAULTS))
+def wired(faults: tuple[str, ...] = (), say=lambda text: None, beside=None) -> tuple[np.ndarray, EgmRobot]:
+    """References that a robot got; beside(address) may be somebody else who sends to the same port."""
+    with egm_wire("127.0.0.1", 0) as wire, ExitStack() as stack:
+        address = ("127.0.0.1", wire.port)
+        if beside is not None:
+            stack.enter_context(beside(address))
+        robot = EgmRobot(address, np.degrees(short().q[0]), 4.0, faults_of(faults, EGM_FAULTS))
         with closing(robot):
-            egm.follow(short(), here, messages, say)
+            egm.follow(short(), wire, say)
     return robot.references() * DEGREES, robot
 
 
@@ -307,12 +313,139 @@ def test_a_robot_is_guided_through_a_plan() -> None:
         ("mute@60", "said nothing for 0.5 s"),
         ("stop@60", "has stopped"),
         ("stray@60:3", "axis 1 is .* away"),
-        ("garbage@60", "no EGM message"),
+        (" ".join(f"garbage@{k}" for k in range(60, 900)), "said nothing for 0.5 s"),
     ],
+    ids=["mute", "stop", "stray", "garbage"],
 )
 def test_faults_of_the_robot_stop_it(fault: str, reason: str) -> None:
     with pytest.raises(EgmStopped, match=reason):
-        wired((fault,))
+        wired(tuple(fault.split()))
+
+
+@pytest.mark.parametrize("at", [(1, 2, 3), (60,), (60, 61, 90)])
+def test_garbage_is_survived_and_told(at: tuple[int, ...]) -> None:
+    """Before the first message, and in the middle of the motion."""
+    said: list[str] = []
+    references, robot = wired(tuple(f"garbage@{k}" for k in at), said.append)
+    np.testing.assert_allclose(robot.joints() * DEGREES, short().q[-1], atol=0.2 * DEGREES)
+    assert (np.abs(np.diff(references, axis=0)) <= 3.000001 * PERIOD).all()
+    assert sum("sent what is no EGM message of a controller" in text for text in said) == 1
+
+
+@contextmanager
+def stranger(address: tuple[str, int], datagrams: Callable[[int], bytes]) -> Iterator[list[bytes]]:
+    """Somebody else who sends as fast as possible; what comes back."""
+    over, back = threading.Event(), []
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
+            here.setblocking(False)
+            for k in range(200_000):
+                with suppress(BlockingIOError):
+                    here.sendto(datagrams(k), address)
+                with suppress(OSError):
+                    back.append(here.recv(4096))
+                if over.wait(0.0005):
+                    return
+
+    thread = threading.Thread(target=send, daemon=True)
+    thread.start()
+    yield back
+    over.set()
+    thread.join()
+
+
+def message(joints: Sequence[float], number: int = 1, kind: int = 2) -> bytes:
+    """What a controller sends: joints [deg], running."""
+    m = egm_wire_module.egm_messages()
+    made = m.EgmRobot()
+    made.header.seqno, made.header.tm, made.header.mtype = number, number * 4, kind
+    made.feedBack.joints.joints.extend(joints[:6])
+    made.motorState.state, made.mciState.state = m.EgmMotorState.MOTORS_ON, m.EgmMCIState.MCI_RUNNING
+    made.rapidExecState.state = m.EgmRapidCtrlExecState.RAPID_RUNNING
+    return bytes(made.SerializeToString())
+
+
+@pytest.mark.parametrize("kind", ["garbage", "empty", "correction"])
+def test_a_stranger_who_floods_is_no_peer(kind: str) -> None:
+    """He was there first, and sends eight times as often as the controller; he gets no reference."""
+    data = {"garbage": b"\xff\xfe\x00", "empty": b"", "correction": message([90.0] * 6, kind=3)}[kind]
+    heard: list[list[bytes]] = []
+
+    @contextmanager
+    def beside(address: tuple[str, int]) -> Iterator[None]:
+        with stranger(address, lambda k: data) as back:
+            heard.append(back)
+            time.sleep(0.05)
+            yield
+
+    references, robot = wired(beside=beside)
+    np.testing.assert_allclose(robot.joints() * DEGREES, short().q[-1], atol=0.2 * DEGREES)
+    assert (np.abs(np.diff(references, axis=0)) <= 3.000001 * PERIOD).all() and heard == [[]]
+
+
+def sent(wire: EgmWire, *each: tuple[socket.socket, bytes]) -> EgmState | None:
+    """What a wire takes of datagrams that came one after the other."""
+    for source, data in each:
+        source.sendto(data, ("127.0.0.1", wire.port))
+    return wire.newest()
+
+
+def test_who_spoke_first_is_heard_alone_until_it_is_gone() -> None:
+    with egm_wire("127.0.0.1", 0) as wire, ExitStack() as stack:
+        robot, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        assert sent(wire, (other, b""), (other, b"\x00")) is None
+        state = sent(wire, (robot, message([1.0] * 6)), (other, message([2.0] * 6, 2)))
+        assert state is not None and state.joints[0] == pytest.approx(DEGREES) and state.running
+        assert sent(wire, (other, message([2.0] * 6, 3))) is None
+        wire.send(np.zeros(6))
+        assert robot.recv(4096)
+        assert len(wire.remarks) == 2 and "it is not the controller" in wire.remarks[1]
+        # what was overtaken on its way would be a step back
+        state = sent(wire, (robot, message([4.0] * 6, 9)), (robot, message([3.0] * 6, 8)))
+        assert state is not None and state.joints[0] == pytest.approx(4.0 * DEGREES)
+        assert sent(wire, (robot, message([3.0] * 6, 7))) is None
+        wire.release()
+        assert sent(wire, (other, message([2.0] * 6, 1))) is not None
+
+
+def test_a_controller_that_is_named_is_heard_alone() -> None:
+    with egm_wire("127.0.0.1", 0, "127.0.0.2") as wire, ExitStack() as stack:
+        robot, other = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
+        try:
+            robot.bind(("127.0.0.2", 0))
+        except OSError:
+            pytest.skip("this system has one loopback address only")
+        assert sent(wire, (other, message([2.0] * 6))) is None
+        assert sent(wire, (robot, message([1.0] * 6))) is not None
+    with pytest.raises(InputError, match="there is no host"), egm_wire("127.0.0.1", 0, "no host"):
+        pass
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=200))
+def test_no_datagram_ends_in_a_traceback(data: bytes) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as here:
+        found = EgmWire(here, egm_wire_module.egm_messages())._state(data)
+    if found is not None and found[0] is not None:
+        assert len(found[0].joints) > 0
+
+
+def test_the_simulated_robot_follows_its_partner_alone() -> None:
+    """Neither garbage of the partner nor references of somebody else end or move it."""
+    with (
+        egm_wire("127.0.0.1", 0) as wire,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+        closing(EgmRobot(("127.0.0.1", wire.port), [0.0] * 6)) as robot,
+    ):
+        assert wire.newest() is not None and wire._peer is not None
+        other.sendto(wire._correction(np.ones(6)), wire._peer)
+        wire._here.sendto(b"\xff\xfe", wire._peer)
+        wire.send(np.full(6, 0.1))
+        end = time.monotonic() + 2.0
+        while not len(robot.references()) and time.monotonic() < end:
+            time.sleep(0.005)
+        np.testing.assert_allclose(robot.references() * DEGREES, np.full((1, 6), 0.1))
 
 
 def test_a_gap_on_the_wire_is_survived() -> None:
@@ -326,13 +459,12 @@ def test_an_interrupt_brings_it_to_rest() -> None:
         if not text.startswith("0.0"):
             raise KeyboardInterrupt
 
-    messages = egm.egm_messages()
     with (
-        egm.listening("127.0.0.1", 0) as here,
-        closing(EgmRobot(here.getsockname(), np.degrees(short().q[0]), 4.0)) as robot,
+        egm_wire("127.0.0.1", 0) as wire,
+        closing(EgmRobot(("127.0.0.1", wire.port), np.degrees(short().q[0]), 4.0)) as robot,
     ):
         with pytest.raises(KeyboardInterrupt):
-            egm.follow(short(), here, messages, interrupt)
+            egm.follow(short(), wire, interrupt)
         while not robot.reason:  # takes what is still on its way, until nothing comes any more
             time.sleep(0.01)
         references = robot.references() * DEGREES
@@ -341,13 +473,13 @@ def test_an_interrupt_brings_it_to_rest() -> None:
 
 
 def test_an_interrupt_before_the_first_word_ends_it_at_once(monkeypatch) -> None:
-    def interrupt(here, peer):
-        monkeypatch.setattr(egm, "_newest", lambda here, peer: pytest.fail("waits for a robot that was never guided"))
+    def interrupt(wire):
+        monkeypatch.setattr(EgmWire, "newest", lambda wire: pytest.fail("waits for a robot that was never guided"))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(egm, "_newest", interrupt)
-    with egm.listening("127.0.0.1", 0) as here, pytest.raises(KeyboardInterrupt):
-        egm.follow(short(), here, egm.egm_messages(), lambda text: None)
+    monkeypatch.setattr(EgmWire, "newest", interrupt)
+    with egm_wire("127.0.0.1", 0) as wire, pytest.raises(KeyboardInterrupt):
+        egm.follow(short(), wire, lambda text: None)
 
 
 def test_without_the_package_it_is_said_which_one(tmp_path, monkeypatch, capsys) -> None:
@@ -431,17 +563,18 @@ def test_filament_of_a_plan_is_read(tmp_path) -> None:
 
 def fed(board_faults: tuple[str, ...] = (), robot_faults: tuple[str, ...] = ()) -> tuple[list[str], list[str | None]]:
     """Lines that the board carried out, with a number and without."""
-    plan, messages = with_filament(short()), egm.egm_messages()
+    plan = with_filament(short())
     accepted: list[tuple[int | None, str]] = []
     with (
         closing(BoardServer("127.0.0.1", 0, 1.0, faults_of(board_faults, BOARD_FAULTS))) as board,
-        egm.listening("127.0.0.1", 0) as here,
+        egm_wire("127.0.0.1", 0) as wire,
     ):
         try:
             with feeding(Address(*board.address)) as feed:
                 start = np.degrees(plan.q[0])
-                with closing(EgmRobot(here.getsockname(), start, 1.0, faults_of(robot_faults, EGM_FAULTS))):
-                    egm.follow(plan, here, messages, lambda text: None, feed)
+                address = ("127.0.0.1", wire.port)
+                with closing(EgmRobot(address, start, 1.0, faults_of(robot_faults, EGM_FAULTS))):
+                    egm.follow(plan, wire, lambda text: None, feed)
                 feed.finish()
         finally:
             time.sleep(0.1)

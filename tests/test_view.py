@@ -7,6 +7,7 @@ import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -21,11 +22,12 @@ from solved import line_of, write_small
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest, HTTPResponse
 
 from planner.base.errors import InputError
-from planner.view import solver
+from planner.view import command, server, solver
 from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
+from planner.view.door import CODE_TIME, MOST_SESSIONS, Door
 from planner.view.machine import Again, Beside, Choose, Drafts, View
-from planner.view.server import LARGEST_ORDER, News, order_of
+from planner.view.server import LARGEST_ORDER, News, Server, order_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = {
@@ -183,13 +185,14 @@ print(json.dumps({"kind": "verified", "words": "verified: 1 check holds", "figur
 class Page:
     """What a browser does with the view."""
 
-    def __init__(self, url: str) -> None:
-        self.url = url
+    def __init__(self, server: Server, url: str, cookie: str) -> None:
+        self.server, self.url, self.cookie = server, url, cookie
         self._client = AsyncHTTPClient(force_instance=True)
 
     async def get(self, path: str, **changed: Any) -> HTTPResponse:
         """An answer, whatever its code."""
-        request = HTTPRequest(changed.pop("url", self.url) + path, **changed)
+        headers = {"Cookie": self.cookie, **changed.pop("headers", {})}
+        request = HTTPRequest(changed.pop("url", self.url) + path, headers=headers, **changed)
         return await self._client.fetch(request, raise_error=False)
 
     async def do(self, order: Any, **headers: str) -> int:
@@ -199,7 +202,7 @@ class Page:
 
     async def until(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Listen until the page is told of a state that is wanted."""
-        return await asyncio.to_thread(_listen, self.url, wanted)
+        return await asyncio.to_thread(_listen, self.url, self.cookie, wanted)
 
 
 def visit(subject: Subject, scenario: Callable[[Page], Awaitable[None]], *panes: str) -> None:
@@ -207,11 +210,12 @@ def visit(subject: Subject, scenario: Callable[[Page], Awaitable[None]], *panes:
 
     async def both() -> None:
         over = asyncio.Event()
-        address: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        made: asyncio.Future[Server] = asyncio.get_running_loop().create_future()
         view = View(panes=panes or ("ladder",), solving=not subject.folder)
-        running = asyncio.create_task(run_view(subject, view, 0, address.set_result, over))
+        running = asyncio.create_task(run_view(subject, view, 0, made.set_result, over))
         try:
-            await scenario(Page(await address))
+            there = await made
+            await scenario(Page(there, *await asyncio.to_thread(_entered, there.address)))
         finally:
             over.set()
             assert await running == 0
@@ -313,6 +317,127 @@ def test_others_neither_see_nor_steer_the_view(fake: Path) -> None:
     visit(Subject(fake, "small"), scenario)
 
 
+def test_the_place_alone_lets_nobody_in(fake: Path) -> None:
+    """Whoever knows the page's address has not been let in by it; the cookie is of one view, and for its own page only."""
+
+    async def scenario(page: Page) -> None:
+        for cookie in ("", "beadwise-view=", "beadwise-view=" + "x" * 43, page.cookie + "x", page.cookie.upper()):
+            for path in ("", "events", "page.js", "report/1-whole"):
+                assert (await page.get(path, headers={"Cookie": cookie})).code == 403
+            assert await page.do({"do": "again"}, Cookie=cookie) == 403
+        for site in ("same-site", "cross-site"):  # another port of this computer is of the same site
+            assert (await page.get("page.js", headers={"Sec-Fetch-Site": site})).code == 403
+        assert (await page.get("", headers={"Sec-Fetch-Site": "same-origin"})).code == 200
+        word = page.server.address.rsplit("/", 1)[1]
+        assert word not in page.url and word not in page.cookie and page.cookie.split("=")[1] not in page.url
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_a_code_is_taken_once(fake: Path) -> None:
+    async def scenario(page: Page) -> None:
+        once = page.server.address_once()
+        assert once != page.server.address
+        url, cookie = await asyncio.to_thread(_entered, once)
+        assert url == page.url and cookie != page.cookie
+        assert (await page.get("", headers={"Cookie": cookie})).code == 200
+        second = await page.get("", url=once)
+        assert second.code == 403 and "Set-Cookie" not in second.headers
+        assert (await page.get("", headers={"Cookie": cookie})).code == 403, "somebody else may have been first"
+        assert (await page.get("")).code == 200
+        assert (await page.get("", url=once + "x")).code == 403
+        assert (await page.get("", url=once, headers={"Host": "evil.example"})).code == 403
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_words_of_the_door() -> None:
+    door = Door()
+    code = door.code(100.0)
+    assert door.enter(code, 100.0 + CODE_TIME + 0.1) is None, "too late"
+    code = door.code(100.0)
+    session = door.enter(code, 100.0 + CODE_TIME)
+    assert session is not None and door.knows(session)
+    assert door.enter(code, 1e6) is None and door.knows(session), "a tab that is restored the next day ends nothing"
+    sessions = [door.enter(door.key, 1e6) for _ in range(MOST_SESSIONS)]
+    assert len(set(sessions)) == MOST_SESSIONS and all(door.knows(each or "") for each in sessions)
+    assert not door.knows(session), "the oldest goes"
+    assert door.enter("", 0.0) is None and not door.knows("") and door.enter("é", 0.0) is None
+
+
+def test_the_browser_is_started_with_a_code_only(
+    fake: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Arguments of a program can be read by all users of a computer."""
+    opened: list[str] = []
+    monkeypatch.setattr(command.webbrowser, "open", opened.append)
+
+    async def scenario(page: Page) -> None:
+        command._ready(Subject(fake, "small"), True, page.server)
+        while not opened:
+            await asyncio.sleep(0.01)
+        assert page.server.address in capsys.readouterr().out
+        secret = (page.server.address.rsplit("/", 1)[1], page.cookie, urlsplit(page.url).path)
+        assert not any(word in opened[0] for word in secret)
+        assert (await asyncio.to_thread(_entered, opened[0]))[0] == page.url
+        assert (await page.get("", url=opened[0])).code == 403
+
+    visit(Subject(fake, "small"), scenario)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        b"",
+        b"GET / HT",
+        b"GET /nothing HTTP/1.1\r\nHost: x\r\n\r\n",
+        b"POST /nothing HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\nx",
+    ],
+)
+def test_idle_connections_end(fake: Path, said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a word, with half a header, after an answer, and with half a body."""
+    monkeypatch.setattr(server, "IDLE_TIME", 0.3)
+    monkeypatch.setattr(server, "BODY_TIME", 0.3)
+
+    def ended(port: int | None) -> float:
+        since = time.monotonic()
+        with socket.create_connection(("127.0.0.1", port or 0), timeout=5.0) as made:
+            made.sendall(said)
+            while made.recv(4096):
+                continue
+        return time.monotonic() - since
+
+    async def scenario(page: Page) -> None:
+        took = await asyncio.to_thread(ended, urlsplit(page.url).port)
+        assert 0.2 < took < 2.0
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_who_listens_and_does_not_read_is_left(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No memory and no place among the listeners is held by a page that takes nothing any more."""
+    monkeypatch.setattr(server, "IDLE_TIME", 0.3)
+
+    async def scenario() -> None:
+        news, where = News(), server.listen(0)
+        there = Server(where, news, lambda key: None, lambda event: None)
+        news.tell("x" * 30_000_000)
+        url, cookie = await asyncio.to_thread(_entered, there.address)
+        parts = urlsplit(url)
+        with socket.create_connection(("127.0.0.1", parts.port or 0)) as made:
+            made.sendall(
+                f"GET {parts.path}events HTTP/1.1\r\nHost: {parts.netloc}\r\nCookie: {cookie}\r\n\r\n".encode()
+            )
+            for wanted in (1, 0):
+                end = time.monotonic() + 3.0
+                while len(news.listeners) != wanted and time.monotonic() < end:
+                    await asyncio.sleep(0.01)
+                assert len(news.listeners) == wanted
+        await there.close()
+
+    asyncio.run(scenario())
+
+
 def test_folder_is_shown_again_when_it_is_written_again(tmp_path: Path) -> None:
     folder = write_results(tmp_path / "out")
 
@@ -388,15 +513,18 @@ def test_life_of_the_command(tmp_path: Path) -> None:
     path = write_small(tmp_path)
     keep = tmp_path / "tmp"
     keep.mkdir()
-    command = [sys.executable, "-c", SHARING, str(path), "--no-browser", "--strategy", "as_published"]
+    arguments = [sys.executable, "-c", SHARING, str(path), "--no-browser", "--strategy", "as_published"]
     environment = {**os.environ, "TMPDIR": str(keep), "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment) as view:
+    with subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    ) as view:
         try:
             assert view.stdout is not None
-            found = re.search(r"http://127\.0\.0\.1:(\d+)/\S+/", view.stdout.readline())
+            found = re.search(r"http://127\.0\.0\.1:(\d+)/\S+", view.stdout.readline())
             assert found is not None
+            page = _entered(found[0])
             stages: list[dict[str, Any]] = []
-            state = _listen(found[0], lambda state: _note(state, stages) or state["panes"][0]["result"])
+            state = _listen(*page, lambda state: _note(state, stages) or state["panes"][0]["result"])
             assert len(stages) > 3 and all(stage["done"] is not None for stage in stages), "the page knows all stages"
             assert state["panes"][0]["result"]["kind"] == "verified"
             children = _children(view.pid)
@@ -416,10 +544,24 @@ def _note(state: dict[str, Any], stages: list[dict[str, Any]]) -> None:
         stages.append(running)
 
 
-def _listen(url: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+def _entered(address: str) -> tuple[str, str]:
+    """The page that an address leads to, and the cookie that it gives."""
+    parts = urlsplit(address)
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=60)
+    connection.request("GET", parts.path)
+    answer = connection.getresponse()
+    moved = re.search(r"url=(/[^\"]+/)\"", answer.read().decode())
+    assert answer.status == 200 and moved is not None
+    cookie, *rules = str(answer.getheader("Set-Cookie")).split("; ")
+    assert rules == [f"Path={moved[1]}", "HttpOnly", "SameSite=Strict"]
+    connection.close()
+    return f"{parts.scheme}://{parts.netloc}{moved[1]}", cookie
+
+
+def _listen(url: str, cookie: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
     parts = urlsplit(url)
     connection = HTTPConnection(parts.hostname or "", parts.port, timeout=60)
-    connection.request("GET", parts.path + "events")
+    connection.request("GET", parts.path + "events", headers={"Cookie": cookie})
     answer, end = connection.getresponse(), time.monotonic() + 60
     while time.monotonic() < end:
         line = answer.readline()

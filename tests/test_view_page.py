@@ -120,11 +120,27 @@ def opened(tmp_path: Path) -> Iterator[Opened]:
             page = browser.new_page(viewport={"width": 1366, "height": 768})
             found = Opened(page, problem)
             page.goto(url)
+            page.wait_for_url(lambda there: "/enter/" not in there)
             yield found
             assert found.wrong == []
             browser.close()
         finally:
             view.send_signal(signal.SIGINT)
+
+
+def test_the_address_is_exchanged_for_a_cookie(opened: Opened) -> None:
+    """The page's own address lets nobody else in, scripts do not see the cookie, and Back does not lead to the word."""
+    page = opened.page
+    opened.until(lambda: opened.names() == ["sqp 1"])
+    (cookie,) = page.context.cookies()
+    assert (cookie["httpOnly"], cookie["sameSite"]) == (True, "Strict")
+    assert page.url.endswith(cookie["path"]) and cookie["value"] not in page.url
+    assert page.evaluate("document.cookie") == "" and "/enter/" not in page.evaluate("document.referrer")
+    other = page.context.browser.new_context().new_page()
+    answer = other.goto(page.url)
+    assert answer.status == 403 and "stands in the terminal" in other.inner_text("body")
+    page.go_back()
+    assert "/enter/" not in page.url
 
 
 def test_page_from_an_edit_to_two_strategies(opened: Opened) -> None:

@@ -21,12 +21,12 @@ from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFI
 from planner.link.as_written import add_edited, program_as_written
 from planner.link.connections import (
     CONNECT_TIME,
-    PIECE,
     Address,
     LinkError,
     Secret,
     connect,
     parse_address,
+    part,
     password,
 )
 from planner.link.ftp import HOME as FTP_HOME
@@ -243,11 +243,8 @@ def _stopping(rws: Rws, program: Address) -> Iterator[_Started]:
 
 def _turn_away(program: Address) -> None:
     """A program that waits for the link, and cannot be stopped otherwise, ends when the link comes and goes."""
-    with suppress(LinkError, InputError, OSError), connect(program, "the program on the controller") as made:
-        made.sendall(stop_words("the link has failed"))
-        made.settimeout(CONNECT_TIME)
-        while made.recv(PIECE):
-            continue
+    with suppress(LinkError, InputError), connect(program, "the program on the controller") as made:
+        part(made, stop_words("the link has failed"), CONNECT_TIME)
 
 
 def _told(

@@ -84,6 +84,23 @@ def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket
 # Deadlines. A time limit of a socket counts from its last byte, so that a peer that drips holds a request for ever.
 
 
+def part(made: socket.socket, words: bytes | bytearray, seconds: float) -> None:
+    """Send last words and hear the other end out, so that they arrive: what is unread when a socket closes takes them with
+    it. Returns within a time for all of it [s], whatever still comes, and where the other end is gone.
+    """
+    end = time.monotonic() + seconds
+    try:
+        made.settimeout(seconds)
+        made.sendall(words)
+        made.shutdown(socket.SHUT_WR)
+        while (left := end - time.monotonic()) > 0.0:
+            made.settimeout(left)
+            if not made.recv(PIECE):
+                return
+    except OSError:
+        return  # it is gone already
+
+
 class Cutter:
     """Ends what goes on over some sockets once its time is over, however often a byte still comes."""
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from planner.base.errors import EXIT_NOT_VERIFIED, PlannerError
-from planner.link.connections import PIECE, Address
+from planner.link.connections import PIECE, Address, part
 from planner.link.messages import Framer, Ok, Resend, Trouble, from_board, to_board, to_board_plain
 from planner.link.relay import MOST_RESENDS, SAFE, Patience
 from planner.link.run import LINGER_TIME, open_board
@@ -126,15 +126,7 @@ class BoardFeed:
 
     def make_safe(self) -> None:
         """What is under way is over: the cutter's output off; moves that the board has taken run dry."""
-        try:
-            self._connection.settimeout(LINGER_TIME)
-            self._connection.sendall(self._unsent + b"".join(to_board_plain(gcode) for gcode in SAFE))
-            self._connection.shutdown(socket.SHUT_WR)
-            end = time.monotonic() + LINGER_TIME
-            while time.monotonic() < end and self._connection.recv(PIECE):
-                continue
-        except OSError:
-            return  # it is gone
+        part(self._connection, self._unsent + b"".join(to_board_plain(gcode) for gcode in SAFE), LINGER_TIME)
 
 
 @contextmanager

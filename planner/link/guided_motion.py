@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import socket
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,9 +17,9 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
-from planner.base.extras import missing_extra
 from planner.link.as_written import PLAN, add_edited, read_json, table_as_written, within_limits
 from planner.link.connections import Address, parse_address
+from planner.link.egm_wire import ARM_AXES, EgmState, EgmWire, egm_messages, egm_wire
 from planner.link.feed import BoardFeed, Feed, FeedStopped, feeding
 
 # ----------------------------------------------------------------------------------------------------
@@ -67,7 +65,6 @@ class Limiter:
 # The joints of a plan over time, read from its folder.
 
 PERIOD = 0.004  # s, of EGM
-ARM_AXES = 6
 MOST_EXTERNAL = 6
 LARGEST_TABLE = 2 << 30  # bytes
 LONGEST_STEP = 0.02  # s between samples of a plan
@@ -160,15 +157,6 @@ class EgmStopped(PlannerError):
     """The motion has ended before its time; says why and where."""
 
     exit_code = EXIT_NOT_VERIFIED
-
-
-@dataclass(frozen=True)
-class EgmState:
-    """A message of the controller: joints (m) [rad] as the plan orders them, whether it runs, its clock [s]."""
-
-    joints: Array
-    running: bool
-    clock: float
 
 
 class Follower:
@@ -316,7 +304,6 @@ class FilamentFeed:
 
 HOST, PORT = "127.0.0.1", 6510  # ABB's port
 JOINING = 120.0  # s in which the controller's first word must come
-LONGEST = 4096  # bytes of a datagram
 REPORT_EVERY = 0.1  # share of the plan
 BOARD_PORT = 23  # telnet
 MOST_TOOL = 99  # number of a tool, as in program.board.tools
@@ -337,12 +324,13 @@ def egm_command() -> Command:
     parser = Command(
         "link.egm",
         "Answer a controller's EGM messages with the joints of a plan, 250 times a second.",
-        {"out/my_part --host 192.168.125.2": "wait there for the controller, then guide it"},
+        {"out/my_part --host 192.168.125.2 --controller 192.168.125.1": "wait there for the controller, then guide it"},
         {0: "finished", 2: "wrong input", 3: "stopped before the end", 130: "interrupted"},
     )
     parser.add_argument("folder", type=Path, metavar="OUT_DIR", help="results of planner.solve")
     parser.add_argument("--host", default=HOST, help=f"own address that the controller sends to (default {HOST})")
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
+    parser.add_argument("--controller", metavar="HOST", help="address that alone is heard (default: who speaks first)")
     parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
     parser.add_argument("--tool", type=_tool, default=0, metavar="N", help="number of its tool (default 0)")
     add_edited(parser)
@@ -356,18 +344,18 @@ def _tool(text: str) -> int:
 
 
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
-    messages = egm_messages()
+    egm_messages()  # before a large plan is read
     cell = table_as_written(options.folder, options.edited, say)
     plan = read_plan(options.folder)
     if cell is not None:
         within_limits(cell, plan.q[:, plan.velocity > 0.0], PERIOD, say)
-    with listening(options.host, options.port) as here:
-        say(f"waiting for the controller on {options.host}:{here.getsockname()[1]} (UDP)")
+    with egm_wire(options.host, options.port, options.controller) as wire:
+        say(f"waiting for {options.controller or 'the controller'} on {options.host}:{wire.port} (UDP)")
         if options.head is None:
-            follow(plan, here, messages, say)
+            follow(plan, wire, say)
         else:
             with feeding(_head(options.head)) as board:
-                follow(plan, here, messages, say, board, options.tool)
+                follow(plan, wire, say, board, options.tool)
                 board.finish()
     say("finished")
     return EXIT_VERIFIED
@@ -380,30 +368,9 @@ def _head(text: str) -> Address:
         raise InputError(str(error), field="--head") from None
 
 
-def egm_messages() -> ModuleType:
-    """ABB's messages. Raises InputError where the package that has them is missing."""
-    try:
-        from abb_robot_client._egm_protobuf import egm_pb2
-    except ImportError as error:
-        raise missing_extra(error, "EGM") or error from None
-    return egm_pb2
-
-
-def listening(host: str, port: int) -> socket.socket:
-    """A UDP socket at an address. Raises InputError where that cannot be had."""
-    out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        out.bind((host, port))
-    except (OSError, OverflowError) as error:
-        out.close()
-        raise InputError(f"cannot listen on {host}:{port}: {error}", field="--port") from error
-    return out
-
-
 def follow(
     plan: JointPlan,
-    here: socket.socket,
-    messages: ModuleType,
+    wire: EgmWire,
     say: Callable[[str], None],
     board: BoardFeed | None = None,
     tool: int = 0,
@@ -414,12 +381,12 @@ def follow(
     """
     follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board, tool)
     try:
-        _loop(follower, here, messages, say, extruder)
+        _loop(follower, wire, say, extruder)
         if extruder is not None:
             extruder.step(follower.total, begun=True)
     except (KeyboardInterrupt, FeedStopped):
         follower.stop()
-        _loop(follower, here, messages, lambda text: None)
+        _loop(follower, wire, lambda text: None)
         raise
     return follower
 
@@ -440,80 +407,33 @@ class _Extruder:
 
 def _loop(
     follower: Follower,
-    here: socket.socket,
-    messages: ModuleType,
+    wire: EgmWire,
     say: Callable[[str], None],
     extruder: _Extruder | None = None,
 ) -> None:
-    numbers, reported = 0, 0.0
-    peer: tuple[str, int] | None = None
+    reported = 0.0
     began = received_at = time.monotonic()
     while not follower.over:
-        data, peer = _newest(here, peer)
+        state = wire.newest()
         now = time.monotonic()
+        while wire.remarks:
+            say(wire.remarks.pop())
         if extruder is not None:
             extruder.step(follower.robot, follower.begun)
-        if not data:
+        if state is None:
             limit = SILENCE if follower.begun else JOINING
             if now - received_at > limit:
                 raise EgmStopped(f"the controller has said nothing for {limit:g} s")
+            if not follower.begun and now - received_at > SILENCE:
+                wire.release()
             continue
         received_at = now
-        reference = follower.answer(read_state(data, messages))
+        reference = follower.answer(state)
         if reference is None:
             if now - began > JOINING:
                 raise EgmStopped(f"the controller did not run within {JOINING:g} s")
             continue
-        numbers += 1
-        if peer is not None:
-            here.sendto(correction(reference, numbers, messages), peer)
+        wire.send(reference)
         if follower.sample >= reported * (follower.total - 1):
             say(f"{follower.sample * PERIOD:.1f} s of {(follower.total - 1) * PERIOD:.1f} s")
             reported = follower.sample / (follower.total - 1) + REPORT_EVERY
-
-
-def _newest(here: socket.socket, peer: tuple[str, int] | None) -> tuple[bytes, tuple[str, int] | None]:
-    """The newest datagram of the controller, which is whoever spoke first; empty where none comes for a while."""
-    newest = b""
-    here.settimeout(0.05)
-    try:
-        while True:
-            data, address = here.recvfrom(LONGEST)
-            peer = peer or address
-            if address == peer:
-                newest = data
-            here.settimeout(0.0)
-    except (TimeoutError, BlockingIOError):
-        return newest, peer
-    except ConnectionError:  # the other side's port was closed: Linux reports it by an error of the next call
-        return newest, peer
-
-
-def read_state(data: bytes, messages: ModuleType) -> EgmState:
-    """A controller's message. Raises EgmStopped for what is none."""
-    from google.protobuf.message import DecodeError
-
-    message = messages.EgmRobot()
-    try:
-        message.ParseFromString(data)
-    except DecodeError as error:
-        raise EgmStopped("the controller sent what is no EGM message") from error
-    joints = [*message.feedBack.joints.joints, *message.feedBack.externalJoints.joints]
-    running = (
-        message.mciState.state == messages.EgmMCIState.MCI_RUNNING
-        and message.motorState.state == messages.EgmMotorState.MOTORS_ON
-        and message.rapidExecState.state == messages.EgmRapidCtrlExecState.RAPID_RUNNING
-    )
-    return EgmState(np.radians(np.array(joints, np.float64)), running, 1e-3 * message.header.tm)
-
-
-def correction(reference: Array, number: int, messages: ModuleType) -> bytes:
-    """The message that carries a reference [rad]."""
-    message = messages.EgmSensor()
-    message.header.seqno = number
-    message.header.tm = int(time.monotonic() * 1e3) & 0xFFFFFFFF
-    message.header.mtype = messages.EgmHeader.MSGTYPE_CORRECTION
-    degrees = np.degrees(reference).tolist()
-    message.planned.joints.joints.extend(degrees[:ARM_AXES])
-    message.planned.externalJoints.joints.extend(degrees[ARM_AXES:])
-    return bytes(message.SerializeToString())

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from planner.base.errors import InputError, OutputError
-from planner.link.connections import PIECE, Address, LinkError, connect, password
+from planner.link.connections import PIECE, Address, LinkError, connect, part, password
 from planner.link.messages import LONGEST_LINE, Framer, Ok, Trouble, from_board, to_board_plain
 from planner.link.relay import FAILED, Effect, LogNote, Relay, RelaySide, RunOutcome, StopRobot, Write
 
@@ -335,16 +335,6 @@ class RelayRun:
         self._changed = any(self._unsent.values())
 
     def _part(self, side: RelaySide) -> None:
-        """Close a connection so that the last words still arrive: what is unread would take them with it."""
-        made, end = self._sockets.pop(side), time.monotonic() + LINGER_TIME
-        with made:
-            try:
-                made.settimeout(LINGER_TIME)
-                made.sendall(self._unsent[side])
-                made.shutdown(socket.SHUT_WR)
-                while (left := end - time.monotonic()) > 0.0:
-                    made.settimeout(left)
-                    if not made.recv(PIECE):
-                        return
-            except OSError:
-                return  # it is gone already
+        """Close a connection so that the last words still arrive."""
+        with self._sockets.pop(side) as made:
+            part(made, self._unsent[side], LINGER_TIME)

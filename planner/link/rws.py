@@ -103,6 +103,7 @@ SLOWEST_LINE = 50e3  # bytes/s of an upload
 BUSY_TIME = 0.2  # s until a busy controller is asked again
 MOST_ANSWERED = 1_000_000  # bytes
 MOST_MODULES = 10_000
+_NOT_QUOTED = re.compile(r'["\\\x00-\x1f\x7f]|[^\x00-\xff]')  # characters that a header of digest cannot carry
 _MESSAGE = re.compile(r'class="msg"[^>]*>([^<]*)<')
 
 
@@ -132,6 +133,8 @@ class Rws:
         self._session.headers.update(self._dialect.headers)
         for prefix in ("http://", "https://"):
             self._session.mount(prefix, _adapter(self._cutter))
+        if not self._two and _NOT_QUOTED.search(user):
+            raise InputError(f"{user!r} cannot be a user of Robot Web Services 1.0", field="--user")
         word = secret.reveal()
         self._session.auth = (
             auth.HTTPBasicAuth(user.encode("utf-8"), word.encode("utf-8"))
@@ -250,8 +253,9 @@ class Rws:
     def _states(self, path: str, seconds: float = QUICK) -> list[dict[str, Any]]:
         """The states of an answer; none where it has another form."""
         asked = path if self._two else path + ("&" if "?" in path else "?") + "json=1"
+        body = self._ask("GET", asked, None, {}, seconds).body
         try:
-            answer: Any = json.loads(self._ask("GET", asked, None, {}, seconds).body)
+            answer: Any = json.loads(body)
             embedded = answer.get("_embedded", {})
             found = embedded.get("_state") or answer.get("state") or embedded.get("resources") or []
         except (ValueError, AttributeError, RecursionError):

@@ -26,7 +26,7 @@ from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, Ou
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 from planner.link.as_written import add_edited, program_as_written
-from planner.link.connections import Address, parse_address
+from planner.link.connections import Address, parse_address, part
 from planner.link.feed import BoardFeed, FeedStopped, feeding
 from planner.link.run import PASSWORD as BOARD_PASSWORD
 
@@ -229,7 +229,7 @@ class Sender:
             raise self._stopped("the controller sent a line that is too long")
         for raw in whole:
             self._take(raw.decode("ascii", errors="replace"))
-        self._received_at = now
+            self._received_at = now  # half a word, a byte at a time, is silence
 
     def due(self, now: float, hold: int | None = None) -> bytes:
         """What is to be sent now; nothing beyond frame `hold`. Raises StreamStopped where the controller is silent for too long."""
@@ -534,7 +534,7 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines
         try:
             _pump(connection, sender, waiting, say, lines)
         except (StreamStopped, FeedStopped, KeyboardInterrupt):
-            _tell(connection, sender.stop(bytes(waiting)))
+            part(connection, sender.stop(bytes(waiting)), LAST_WORDS)
             raise
     if lines is not None:
         lines.finish()
@@ -567,17 +567,6 @@ def _pump(
         if sender.done >= reported * sender.total:
             say(f"{sender.done} of {sender.total} moves begun")
             reported = sender.done / sender.total + REPORT_EVERY
-
-
-def _tell(connection: socket.socket, data: bytes) -> None:
-    """Send a last frame and wait a little until the other side has closed."""
-    connection.settimeout(LAST_WORDS)
-    try:
-        connection.sendall(data)
-        while connection.recv(BLOCK):
-            continue
-    except OSError:
-        return  # the controller notices by itself that the connection is gone
 
 
 def _address(text: str) -> tuple[str, int]:

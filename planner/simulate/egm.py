@@ -21,6 +21,7 @@ TIME_CONSTANT = 0.03  # s of the first-order lag with which the robot follows
 ARM_AXES = 6
 UNANSWERED = 0.5  # wall s without a reference, after which the motion ends
 LONGEST = 4096  # bytes of a datagram
+MOST_AT_ONCE = 100  # datagrams that are looked at between two messages
 GARBAGE = b"\xff\xfe\x00 no message"
 
 
@@ -112,23 +113,29 @@ class EgmRobot:
         return bytes(message.SerializeToString())
 
     def _receive(self, here: socket.socket, due: float) -> bool:
-        """Take the newest reference that comes before the next message is due."""
-        while True:
+        """Take the first reference of the partner that comes before the next message is due; all else is dropped."""
+        from google.protobuf.message import DecodeError
+
+        for _ in range(MOST_AT_ONCE):
             here.settimeout(max(1e-4, due - time.monotonic()))
             try:
                 data, address = here.recvfrom(LONGEST)
             except OSError:  # nothing came, or nobody is there
                 return False
-            if address[1] != self._address[1]:
+            if address != self._address:
                 continue
             message = self._messages.EgmSensor()
-            message.ParseFromString(data)
+            try:
+                message.ParseFromString(data)
+            except DecodeError:
+                continue
             goal = [*message.planned.joints.joints, *message.planned.externalJoints.joints]
             if len(goal) == len(self._joints) and all(math.isfinite(value) for value in goal):
                 with self._lock:
                     self._goal = np.array(goal)
                     self._references.append(self._goal)
                 return True
+        return False
 
     def _move(self) -> None:
         if self._running:

@@ -13,6 +13,7 @@ from typing import Any
 from planner.base.errors import InputError
 from planner.simulate.board import Fault, Faults
 from planner.simulate.controller import LARGEST_FILE, Controller, Denied
+from planner.simulate.servers import is_http
 
 PATIENCE = 30.0  # s without a command until a connection is closed
 LONGEST = 512  # bytes of a command
@@ -88,6 +89,8 @@ class _Handler(socketserver.StreamRequestHandler):
         try:
             self._say("220 ready")
             while line := self.rfile.readline(LONGEST + 1):
+                if is_http(line):
+                    return
                 word, _, rest = line.decode("latin-1").rstrip("\r\n").partition(" ")
                 if len(line) > LONGEST or not self._do(word.upper(), rest):
                     return

@@ -19,6 +19,7 @@ import secrets
 import ssl
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from email.message import Message
@@ -39,6 +40,8 @@ USER = "Default User"  # ABB's, on every new controller
 REFUSED = -1073442816  # stands for any refusal: clients must go by the HTTP status
 LONGEST_FORM = 4096  # bytes
 PATIENCE = 30.0  # s without a request until a connection is closed, and without a word until a subscription is
+MOST_NONCES = 200  # that digests are taken for; who has an older one is asked again
+MOST_COUNT = 0xFFFFFFFF
 MOST_SESSIONS = 70  # as on an IRC5; 503 beyond
 FORM = {1: "application/x-www-form-urlencoded", 2: "application/x-www-form-urlencoded;v=2.0"}
 FORM_V2 = FORM[2]
@@ -160,7 +163,8 @@ class _Desk:
     def __init__(self, controller: Controller, access: Access, faults: Sequence[Fault]) -> None:
         self.controller, self.access = controller, access
         self.two, self.strict = access.version == 2, access.strict
-        self.nonce, self.opaque = secrets.token_hex(16), secrets.token_hex(8)
+        self._nonces: OrderedDict[str, int] = OrderedDict()  # given out → the count that came with it last
+        self._opaque = secrets.token_hex(8)
         self.ending = threading.Event()
         self.asked: list[str] = []
         self._faults = Faults(faults)
@@ -171,13 +175,19 @@ class _Desk:
         self.groups: dict[str, str] = {}  # subscription → session
         self._deaf = False
 
-    @property
     def challenge(self) -> str:
+        """What whoever is not let in is to answer; for digest a nonce that nobody else gets."""
         if self.two:
             return f'Basic realm="{REALM}"'
-        return f'Digest realm="{REALM}", qop="auth", algorithm=MD5, nonce="{self.nonce}", opaque="{self.opaque}"'
+        nonce = secrets.token_hex(16)
+        with self._lock:
+            self._nonces[nonce] = 0
+            while len(self._nonces) > MOST_NONCES:
+                self._nonces.popitem(last=False)
+        return f'Digest realm="{REALM}", qop="auth", algorithm=MD5, nonce="{nonce}", opaque="{self._opaque}"'
 
-    def lets_in(self, method: str, header: str) -> bool:
+    def lets_in(self, method: str, path: str, header: str) -> bool:
+        """Whether a request, with its Authorization, is of a user. A digest is taken once: its count must rise (RFC 7616)."""
         kind, _, rest = header.partition(" ")
         if self.two:
             expected = base64.b64encode(f"{self.access.user}:{self.access.password}".encode()).decode()
@@ -185,16 +195,20 @@ class _Desk:
         if kind != "Digest":
             return False
         answer = parse_keqv_list([each for each in parse_http_list(rest) if "=" in each])
-        if (
-            answer.get("nonce") != self.nonce
-            or answer.get("username") != self.access.user
-            or answer.get("qop") != "auth"
-        ):
+        nonce, count, own = (answer.get(name, "") for name in ("nonce", "nc", "cnonce"))
+        if answer.get("username") != self.access.user or answer.get("qop") != "auth" or answer.get("uri") != path:
+            return False
+        if re.fullmatch(r"[0-9a-f]{8}", count) is None or not own:
             return False
         who = _md5(f"{self.access.user}:{REALM}:{self.access.password}")
-        what = _md5(f"{method}:{answer.get('uri', '')}")
-        right = _md5(f"{who}:{self.nonce}:{answer.get('nc', '')}:{answer.get('cnonce', '')}:auth:{what}")
-        return hmac.compare_digest(answer.get("response", ""), right)
+        right = _md5(f"{who}:{nonce}:{count}:{own}:auth:{_md5(f'{method}:{path}')}")
+        if not hmac.compare_digest(answer.get("response", "").encode(), right.encode()):
+            return False
+        with self._lock:
+            if int(count, 16) <= self._nonces.get(nonce, MOST_COUNT):
+                return False
+            self._nonces[nonce] = int(count, 16)
+        return True
 
     def session_of(self, cookies: str) -> tuple[str, bool]:
         """The session that cookies name, or a new one; whether it is new."""
@@ -447,14 +461,17 @@ class _Handler(BaseHTTPRequestHandler):
         query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         self._json_asked = query.get("json") == "1" or (desk.two and "xhtml" not in self.headers.get("Accept", ""))
         try:
+            if self._from_a_page():
+                self.close_connection = True
+                raise Denied(403, "requests of other pages are refused")
             body = self._body(LARGEST_FILE if method == "PUT" else LONGEST_FORM)
             if desk.controller.silent:
                 raise Denied(503, "restarting")
             if parts.path.startswith("/poll/"):
                 self._events(parts.path.removeprefix("/poll/"))
                 return
-            if not desk.lets_in(method, self.headers.get("Authorization", "")):
-                self._reply(401, b"", {"WWW-Authenticate": desk.challenge})
+            if not desk.lets_in(method, self.path, self.headers.get("Authorization", "")):
+                self._reply(401, b"", {"WWW-Authenticate": desk.challenge()})
                 return
             form = {k: v[-1] for k, v in parse_qs(body.decode("ascii", "replace"), keep_blank_values=True).items()}
             session, new = desk.session_of(self.headers.get("Cookie", ""))
@@ -464,6 +481,12 @@ class _Handler(BaseHTTPRequestHandler):
         except Denied as denied:
             self._reply(denied.status, self._written([], denied.reason))
 
+    def _from_a_page(self) -> bool:
+        """Whether a page of elsewhere in a browser sent this: it might know the password, which is ABB's own unless said."""
+        origin = self.headers.get("Origin")  # that of a web socket is this server
+        elsewhere = origin is not None and urlsplit(origin).netloc != self.headers.get("Host")
+        return elsewhere or self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin")
+
     def _act_with_faults(self, asked: _Request) -> None:
         found = self.the_desk.fault(f"{asked.method} {self.path}")
         if found is None:
@@ -471,7 +494,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         kind, fault = found
         if kind in STATUS:
-            headers = {"WWW-Authenticate": self.the_desk.challenge} if kind == "login" else {}
+            headers = {"WWW-Authenticate": self.the_desk.challenge()} if kind == "login" else {}
             self._reply(STATUS[kind], self._written([], "simulated fault"), headers)
             return
         if kind in ("broken", "lose"):

@@ -34,6 +34,18 @@ def bound_socket(host: str, port: int, kind: socket.SocketKind = socket.SOCK_STR
     return out
 
 
+# A page in a browser may post what it likes to any port of this computer, and a protocol of lines would take those of the
+# body for its own. A request of HTTP begins with a method and a path, which no G-code and no command of FTP does.
+_HTTP = re.compile(rb"[A-Z]{3,10} [/*]")
+LONGEST_METHOD = 12  # bytes up to the path
+TURNED_AWAY = "a request of HTTP was turned away"
+
+
+def is_http(opening: bytes) -> bool:
+    """Whether a connection begins as a browser's does."""
+    return _HTTP.match(opening) is not None
+
+
 class LineReader:
     """Lines of at most `longest` bytes, ended by LF, out of a stream of bytes."""
 
@@ -166,6 +178,10 @@ class BoardServer:
             data = b""
         if not data:
             client.gone = True
+        elif client.browses(data):  # also while what comes is thrown away: its body may come later
+            client.gone = True
+            with self._lock:
+                self._board.record.warnings.append(TURNED_AWAY)
         elif time.monotonic() - client.since < DISCARDED:
             return
         elif client.logged_in:
@@ -212,6 +228,14 @@ class _Client:
         self.since = time.monotonic()
         self.held: deque[tuple[float, bytes]] = deque()
         self.tried, self.tries, self.gone = b"", 0, False
+        self._opening = b""
+
+    def browses(self, data: bytes) -> bool:
+        """Whether the connection turns out to be a browser's, now that more has come."""
+        if len(self._opening) >= LONGEST_METHOD:
+            return False
+        self._opening = (self._opening + data)[:LONGEST_METHOD]
+        return is_http(self._opening)
 
     def send(self, data: bytes) -> None:
         try:

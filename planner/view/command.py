@@ -120,11 +120,11 @@ class Subject:
 
 
 async def run_view(
-    subject: Subject, view: View, port: int, ready: Callable[[str], None], over: asyncio.Event | None = None
+    subject: Subject, view: View, port: int, ready: Callable[[Server], None], over: asyncio.Event | None = None
 ) -> int:
     """Serve the view until a signal comes, whose number is returned, or `over` is set (0).
 
-    ready  is told the address as soon as somebody can look at it. Raises InputError where the port is taken.
+    ready  is told as soon as somebody can look at it. Raises InputError where the port is taken.
     """
     over = over or asyncio.Event()
     came = deque((0,), maxlen=1)
@@ -142,7 +142,7 @@ async def run_view(
         server = Server(where, runner.news, runner.report, runner.take)
         watching = asyncio.create_task(runner.watch())
         try:
-            ready(server.url)
+            ready(server)
             await asyncio.wait({watching, asyncio.create_task(over.wait())}, return_when=asyncio.FIRST_COMPLETED)
             if watching.done():
                 watching.result()  # raises what ended it
@@ -300,12 +300,12 @@ def _panes(subject: Subject, options: argparse.Namespace) -> tuple[str, ...]:
     return tuple(dict.fromkeys(strategy for strategy in panes if strategy is not None))
 
 
-def _ready(subject: Subject, browser: bool, url: str) -> None:
+def _ready(subject: Subject, browser: bool, server: Server) -> None:
     what = "results in" if subject.folder else "problem"
-    print(f"live view of {what} {subject.path}: {url}", flush=True)
+    print(f"live view of {what} {subject.path}: {server.address}", flush=True)
     print("Ctrl-C ends it", file=sys.stderr)
     if browser:  # which may take its time
-        threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+        threading.Thread(target=webbrowser.open, args=(server.address_once(),), daemon=True).start()
 
 
 def view_command() -> Command:

@@ -6,7 +6,8 @@ import asyncio
 import json
 import secrets
 import socket
-from collections.abc import Callable
+import time
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib.resources import files
@@ -20,6 +21,7 @@ from tornado.web import Application, HTTPError, RequestHandler
 from planner.base.errors import InputError
 from planner.base.progress import STAGES
 from planner.problem.settings import STRATEGY_NAMES
+from planner.view.door import Door
 from planner.view.machine import (
     NONE,
     ROWS,
@@ -153,14 +155,20 @@ def _row(view: View, entry: Entry) -> dict[str, Any]:
 # ----------------------------------------------------------------------------------------------------
 # The local web server of the view: the page, what it is told, and what the user asks for.
 #
-# It listens on this computer only. Its address holds a token that other pages cannot know; the Host is checked, so that
-# no name of another site that points here helps, and reports are shown in a sandbox without an origin.
+# It listens on this computer only. A browser is let in by an address with a word that others cannot know, which is
+# exchanged for a cookie (see `door`). The cookie goes to the view's own place only, whose name is drawn, for cookies do
+# not know ports: other servers of this computer must not get it. The Host is checked, so that no name of another site
+# that points here helps, and reports are shown in a sandbox without an origin.
 
 HOST = "127.0.0.1"
 LARGEST_ORDER = 1_000  # bytes of what the page may ask for
 LARGEST_REPORT = 100_000_000  # bytes; a report has 15 MB at most
 MOST_LISTENERS = 20  # pages that are told of changes
 SILENCE_TIME = 10.0  # s after which a listener is told that the view is still there
+IDLE_TIME = 30.0  # s without a whole request, or without a listener's reading, after which a connection ends
+BODY_TIME = 5.0  # s for what is asked for
+SENDING_TIME = 120.0  # s for an answer; a report goes through a slow tunnel meanwhile
+COOKIE = "beadwise-view"
 ASSETS = {
     "": ("page.html", "text/html"),
     "page.css": ("page.css", "text/css"),
@@ -212,12 +220,13 @@ class Server:
     def __init__(
         self, where: socket.socket, news: News, report: Callable[[str], Path | None], take: Callable[[Event], None]
     ) -> None:
-        token = secrets.token_urlsafe(16)
         port = where.getsockname()[1]
-        self.url = f"http://{HOST}:{port}/{token}/"
-        shared = {"view": _Shared({f"{HOST}:{port}", f"localhost:{port}"}, news, report, take)}
-        root = f"/{token}/"
+        self._door, self._origin = Door(), f"http://{HOST}:{port}"
+        root = f"/{secrets.token_urlsafe(16)}/"
+        hosts = {f"{HOST}:{port}", f"localhost:{port}"}
+        shared = {"view": _Shared(hosts, root, self._door, news, report, take)}
         routes: list[Any] = [
+            (r"/enter/([A-Za-z0-9_-]{1,100})", _Enter, shared),
             (root + "events", _Events, shared),
             (root + r"report/([0-9]{1,9}-(?:draft|whole|folder))", _Report, shared),
             (root + "do", _Do, shared),
@@ -226,8 +235,20 @@ class Server:
         application = Application(
             routes, default_handler_class=_Nothing, default_handler_args=shared, log_function=_quiet
         )
-        self._server = HTTPServer(application, max_body_size=LARGEST_ORDER, max_header_size=16_384)
+        self._server = HTTPServer(
+            application, max_body_size=LARGEST_ORDER, max_header_size=16_384,
+            idle_connection_timeout=IDLE_TIME, body_timeout=BODY_TIME,
+        )  # fmt: skip
         self._server.add_socket(where)
+
+    @property
+    def address(self) -> str:
+        """Lets browsers in as long as the view is there. Not for arguments of programs: all users can read them."""
+        return f"{self._origin}/enter/{self._door.key}"
+
+    def address_once(self) -> str:
+        """Lets one browser in, for a short time from now on."""
+        return f"{self._origin}/enter/{self._door.code(time.monotonic())}"
 
     async def close(self) -> None:
         """Nobody is served any more."""
@@ -237,9 +258,11 @@ class Server:
 
 @dataclass(frozen=True)
 class _Shared:
-    """What all requests need: names of this server, what is new, where reports lie, and who takes orders."""
+    """What all requests need: names of this server, its place, who is in, what is new, reports, and who takes orders."""
 
     hosts: set[str]
+    root: str
+    door: Door
     news: News
     report: Callable[[str], Path | None]
     take: Callable[[Event], None]
@@ -249,7 +272,9 @@ def _quiet(handler: RequestHandler) -> None:
     """Requests are not logged."""
 
 
-class _Handler(RequestHandler):
+class _Open(RequestHandler):
+    """For whoever comes to an address of this server, by one of its names."""
+
     def initialize(self, view: _Shared) -> None:
         self._view = view
 
@@ -273,7 +298,46 @@ class _Handler(RequestHandler):
         self.finish(f"{status_code}: nothing here; the view's address stands in the terminal\n")
 
 
-class _Nothing(_Handler):
+class _Enter(_Open):
+    """Exchanges a word for a cookie. The page moves on by itself: a redirection that a page of another site began, such as
+    a terminal in a browser, would not carry the cookie.
+    """
+
+    def get(self, word: str) -> None:
+        session = self._view.door.enter(word, time.monotonic())
+        if session is None:
+            raise HTTPError(403)
+        root = self._view.root
+        self.set_header("Set-Cookie", f"{COOKIE}={session}; Path={root}; HttpOnly; SameSite=Strict")
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.finish(
+            f'<!doctype html><title>Live view</title><meta http-equiv=refresh content="0; url={root}">'
+            f'<a href="{root}">To the live view</a>\n'  # for browsers that do not move on by themselves
+        )
+
+
+class _Handler(_Open):
+    """For whoever was let in, from the view's own page."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        # pages of other servers of this computer are of the same site, and so get past SameSite
+        if self.request.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise HTTPError(403)
+        if not self._view.door.knows(self.get_cookie(COOKIE, "") or ""):
+            raise HTTPError(403)
+
+    async def in_time(self, sending: Awaitable[None], seconds: float) -> bool:
+        """Whether somebody took what is sent; ends the connection where nobody did within a time [s]."""
+        try:
+            await asyncio.wait_for(sending, seconds)
+        except TimeoutError:
+            self.detach().close()
+            return False
+        return True
+
+
+class _Nothing(_Open):
     def prepare(self) -> None:
         raise HTTPError(404)
 
@@ -293,7 +357,7 @@ class _Report(_Handler):
             raise HTTPError(404)
         self.set_header("Content-Security-Policy", REPORT_POLICY)
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        await self.finish(data)
+        await self.in_time(self.finish(data), SENDING_TIME)
 
 
 def _bytes_of(path: Path) -> bytes | None:
@@ -321,19 +385,21 @@ class _Events(_Handler):
                 while True:
                     self._woken.clear()
                     self.write(f"data: {self._view.news.text}\n\n")
-                    await self.flush()
-                    await self._changed()
+                    if not (await self.in_time(self.flush(), IDLE_TIME) and await self._changed()):
+                        return
         finally:
             listeners.discard(self._woken)
 
-    async def _changed(self) -> None:
+    async def _changed(self) -> bool:
+        """Wait until there is something new; False where nobody reads any more."""
         while True:
             try:
                 await asyncio.wait_for(self._woken.wait(), SILENCE_TIME)
-                return
+                return True
             except TimeoutError:
                 self.write(": still here\n\n")
-                await self.flush()
+                if not await self.in_time(self.flush(), IDLE_TIME):
+                    return False
 
     def on_connection_close(self) -> None:
         self._woken.set()  # the next flush finds nobody there
