@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array
 from planner.base.errors import Blocked, Change, MovedBy, Refusal
 from planner.base.processes import cores
-from planner.cell.cell import Cell, translation
+from planner.cell.cell import Cell, near_ends, translation
 from planner.cell.robot import chain_of
 from planner.collision.scene import NOTHING, PART, Obstacles
 from planner.resolve.drawn import SLIGHT, repeated
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
-from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
+from planner.resolve.reach import CLEAR_ROOM
 from planner.resolve.search import LadderRoute, Route, angles_along, best_route
 from planner.toolpath.task import NozzleTask
 
@@ -82,6 +82,11 @@ class Stuck:
             except Refusal:
                 return False
         return True
+
+    def has_postures_near_ends(self) -> bool:
+        """Whether the cell has a posture at the place, nearer to the ends of joints' ranges than it is searched."""
+        nearer = replace(self, cell=near_ends(self.cell))
+        return bool(np.isfinite(nearer._prices(nearer.cell, self.demand, np.array([self.rung]))).any())
 
     def serves_tilted(self, tilt: float) -> bool:
         """Whether the cell has a posture at the place, its nozzle this far [rad] off the normal in some direction."""
@@ -337,7 +342,8 @@ def refuse_rung(
 ) -> NoReturn:
     """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity or collision.
 
-    With it come hints, found when they are asked for: changes that were tried and would help.
+    With it come hints, found when they are asked for: changes that were tried and would help; and whether there may be a
+    way nearer to the ends of joints' ranges, see `Refusal.near_ends`.
     """
     if demand.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
@@ -349,8 +355,10 @@ def refuse_rung(
 
     stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
 
-    def refuse(reason: str, missing: float | None = None, kind: type[Refusal] = Refusal) -> NoReturn:
-        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind)
+    def refuse(
+        reason: str, missing: float | None = None, kind: type[Refusal] = Refusal, ends: bool = False
+    ) -> NoReturn:
+        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind, ends)
 
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
     roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
@@ -377,14 +385,14 @@ def refuse_rung(
         reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
         refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
     if not np.isfinite(nodes.price[rung]).any():
-        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= LIMIT_ROOM).all(axis=2) & ok
+        ends, room = stuck.has_postures_near_ends(), cell.limits.room
+        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= room).all(axis=2) & ok
         if not away.any():
-            near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
-            refuse(near)
+            refuse(f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range", ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
-            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}")
+            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}", ends=ends)
         tried = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
         if len(tried):
             now = np.full(len(tried), demand.now[demand.rung[rung]])
@@ -395,9 +403,9 @@ def refuse_rung(
             down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
                 every += into_itself(down)
-            refuse(every, kind=Blocked)
+            refuse(every, kind=Blocked, ends=ends)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
-        refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
+        refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=ends)
     if obstacles.any:
         free = evaluate(cell, demand, grid, min_sigma)
         without, _ = best_route(free, demand, cell.limits)
@@ -411,9 +419,10 @@ def refuse_rung(
                 i,
                 _collision(obstacles, pair, lacking, way),
                 hints=partial(path_hints, stuck, tasks[k].tip[i]),
+                near_ends=True,
             )
     reason = "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach"
-    refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
+    refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=True)
 
 
 def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles) -> None:
