@@ -66,7 +66,7 @@ def test_what_can_only_be_printed_near_an_end_is_printed_there_and_told(tmp_path
 @pytest.mark.parametrize(
     ("beyond_deg", "towards", "why"),
     [
-        (-0.5, 1, r"every posture is within 0\.6 deg of the end of a joint's range"),
+        (-0.5, 1, r"no posture within the joints' ranges; the nearest one leaves that of joint_1 by 0\.[1-5] deg"),
         (-0.5, -1, r"no posture within the joints' ranges; the nearest one leaves that of joint_1 by 0\.5 deg"),
         (0.3, 1, r"every posture is within 0\.6 deg of the end of a joint's range"),
     ],

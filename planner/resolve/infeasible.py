@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.base.errors import Blocked, Change, MovedBy, Refusal
 from planner.base.processes import cores
 from planner.cell.cell import Cell, near_ends, translation
@@ -329,6 +329,67 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 
 STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
+_PLACES, _NEXT = (
+    48,
+    8,
+)  # rungs spread over a print, and those on both sides of one, that are looked at for what is beyond a range
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Postures that the diagnosis looks at, at a sample of a task: flange poses T_base_flange (m, 4, 4), angles of the given
+    joints (m, k) if there are any, and all branches q (m, b, na), turned into the joints' ranges; which of these there are,
+    and which lie inside the ranges (m, b)."""
+
+    task: NozzleTask
+    sample: int
+    T_base_flange: Array
+    redundant: Array | None
+    q: Array
+    ok: Flags
+    inside: Flags
+
+
+def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int) -> _Tried:
+    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
+    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    na, nh, grid = len(cell.arm), len(cell.holder), nodes.grid
+    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
+    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
+    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
+    if cell.chosen and grid.swept is not None:
+        zero, unit = nodes.scale
+        chosen[:, grid.swept] = zero + unit * swept
+    spot = repeated(tasks[k], i, len(roll))
+    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
+    redundant = chosen[:, nh:] if cell.given else None
+    q, ok = cell.inverse.solve(T, redundant)
+    low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
+    middle = 0.5 * (low + high)
+    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    q = np.where(cell.limits.turns[:na], turned, q)
+    return _Tried(tasks[k], i, T, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
+
+
+def _beyond_ranges(
+    cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int
+) -> int | None:
+    """A rung at which nothing is in reach and inside the joints' ranges, of some near this one and some spread over all; the
+    nearest. None where there is no such rung among them."""
+    r, grid = len(demand.rung), nodes.grid
+    around = np.arange(max(rung - _NEXT, 0), min(rung + _NEXT + 1, r))
+    some = np.union1d(around, np.linspace(0, r - 1, min(r, _PLACES)).round().astype(np.int64))
+    few = demand.only(some, [0, len(some)])
+    held = None if grid.held is None else grid.held[some]
+    swept = cell.chosen and grid.swept is not None
+    steps = grid.roll_step, grid.holder_step
+    whole = full_grid(few, cell.inverse.branch_count, *steps, bool(swept), grid.swept, held)
+    bare = replace(cell, limits=replace(cell.limits, room=0.0))
+    nowhere = some[~np.isfinite(evaluate(bare, few, whole, 0.0).price).any(axis=(1, 2, 3))]
+    for at in sorted(nowhere.tolist(), key=lambda at: abs(at - rung)):
+        if not _tried_at(cell, tasks, demand, nodes, at).inside.any():
+            return int(at)
+    return None
 
 
 def refuse_rung(
@@ -347,9 +408,8 @@ def refuse_rung(
     """
     if demand.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
-    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
-    task = tasks[k]
-    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    tried = _tried_at(cell, tasks, demand, nodes, rung)
+    task, i, q, ok = tried.task, tried.sample, tried.q, tried.ok
     na, nh = len(cell.arm), len(cell.holder)
     grid = nodes.grid
 
@@ -360,23 +420,9 @@ def refuse_rung(
     ) -> NoReturn:
         refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind, ends)
 
-    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
-    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
-    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
-    if cell.chosen and grid.swept is not None:
-        zero, unit = nodes.scale
-        chosen[:, grid.swept] = zero + unit * swept
-    spot = repeated(task, i, len(roll))
-    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
-    redundant = chosen[:, nh:] if cell.given else None
-    q, ok = cell.inverse.solve(T, redundant)
     if not ok.any():
-        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(T, redundant).min()))
-    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
-    q = np.where(cell.limits.turns[:na], turned, q)
-    inside = ok & ((q >= cell.limits.q_min[:na]) & (q <= cell.limits.q_max[:na])).all(axis=2)
-    if not inside.any():
+        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(tried.T_base_flange, tried.redundant).min()))
+    if not tried.inside.any():
         over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
         over[~ok] = np.inf
         worst = over.max(axis=2)
@@ -388,17 +434,20 @@ def refuse_rung(
         ends, room = stuck.has_postures_near_ends(), cell.limits.room
         away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= room).all(axis=2) & ok
         if not away.any():
+            beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
+            if beyond is not None:  # here the path comes near to what stops it there
+                refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
             refuse(f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range", ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
             refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}", ends=ends)
-        tried = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
-        if len(tried):
-            now = np.full(len(tried), demand.now[demand.rung[rung]])
-            margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
+        there = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
+        if len(there):
+            now = np.full(len(there), demand.now[demand.rung[rung]])
+            margin, which = obstacles.margins(there, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
+            standing = obstacles.standing(cell, there[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
             down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
