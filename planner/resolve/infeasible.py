@@ -375,7 +375,7 @@ def _beyond_ranges(
     cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int
 ) -> int | None:
     """A rung at which nothing is in reach and inside the joints' ranges, of some near this one and some spread over all; the
-    nearest. None where there is no such rung among them."""
+    nearest, rather on a bead than in its runs, which can be short. None where there is no such rung among them."""
     r, grid = len(demand.rung), nodes.grid
     around = np.arange(max(rung - _NEXT, 0), min(rung + _NEXT + 1, r))
     some = np.union1d(around, np.linspace(0, r - 1, min(r, _PLACES)).round().astype(np.int64))
@@ -386,7 +386,8 @@ def _beyond_ranges(
     whole = full_grid(few, cell.inverse.branch_count, *steps, bool(swept), grid.swept, held)
     bare = replace(cell, limits=replace(cell.limits, room=0.0))
     nowhere = some[~np.isfinite(evaluate(bare, few, whole, 0.0).price).any(axis=(1, 2, 3))]
-    for at in sorted(nowhere.tolist(), key=lambda at: abs(at - rung)):
+    laid = np.concatenate([(np.arange(len(t)) >= t.first) & (np.arange(len(t)) <= t.last) for t in tasks])
+    for at in sorted(nowhere.tolist(), key=lambda at: (not laid[demand.rung[at]], abs(at - rung))):
         if not _tried_at(cell, tasks, demand, nodes, at).inside.any():
             return int(at)
     return None
