@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planner.base.errors import Refusal
-from planner.cell.cell import Cell, Limits, build_cell
+from planner.cell.cell import LIMIT_ROOM, Cell, Limits, build_cell
 from planner.collision.scene import NOTHING
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, choose_turns, sample_tasks, spread
@@ -33,7 +33,6 @@ from planner.resolve.prices import (
     TRAVEL_PRICE,
     TURN_PRICE,
 )
-from planner.resolve.reach import LIMIT_ROOM
 from planner.resolve.search import JUMP, SPEED_SHARE, Route, best_route, greedy_route
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath

@@ -14,7 +14,7 @@ import pytest
 
 from benchmarks.nozzle_count import counted
 from planner import Plan, solve, write
-from planner.base.errors import InputError, PlannerError
+from planner.base.errors import Blocked, InputError, PlannerError
 from planner.collision.print_body import print_body
 from planner.export.rapid.language import differences
 from planner.motion.extrusion import bead_area
@@ -178,6 +178,18 @@ def test_a_strut_that_is_drawn_into_itself_is_refused_by_its_place(tmp_path: Pat
         PlannerError, match=r"runs 90 deg down its own normals here.*dips into what it has just laid.*point"
     ):
         solve(problem, "ladder", baseline=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("down_mm", "helps"), [(7, True), (10, False)])
+def test_a_lean_is_advised_where_it_gives_a_verified_plan(tmp_path: Path, down_mm: float, helps: bool) -> None:
+    """A strut that goes down along 9 mm by so much: a nozzle that leans by 20 degrees at most clears the first of these."""
+    with pytest.raises(Blocked) as caught:
+        solve(problem_of(tmp_path, [((0, 0, 1 + down_mm), (9, 0, 1))], ", kind: spatial"), baseline=False)
+    lean = [hint for hint in caught.value.hints if hint.startswith("process.cones.nozzle_normal_deg: ")]
+    assert all("gives a verified plan" in hint for hint in lean)
+    assert len(lean) == helps
+    assert caught.value.hints[-1].startswith("a slenderer nozzle")
 
 
 @pytest.mark.slow

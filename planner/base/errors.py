@@ -87,6 +87,7 @@ class Refusal(PlannerError):
     `missing_mm` says by how much a point lies out of reach, where that is the reason; `hints` name changes
     that were tried and would help. A function that finds them is called when they are first asked for: trying
     changes takes longer than all else, and a refusal that another plan makes good needs none.
+    `near_ends` is true where a search ended that keeps room to the ends of joints' ranges, and nearer to them there may be a way.
     """
 
     exit_code = EXIT_NOT_VERIFIED
@@ -102,10 +103,11 @@ class Refusal(PlannerError):
         run: str | None = None,
         missing_mm: float | None = None,
         hints: Hints | Callable[[], Hints] = (),
+        near_ends: bool = False,
     ) -> None:
         self.reason, self.bead, self.waypoint, self.run = reason, bead, waypoint, run
         self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
-        self._hints = hints
+        self._hints, self.near_ends = hints, near_ends
         place = []
         if bead is not None:
             place.append(f"bead {bead}")

@@ -22,12 +22,17 @@ from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
+LIMIT_ROOM = 0.07  # rad, m from the ends of joints' ranges that a search keeps: what moves between its rungs needs it
+LEAST_ROOM = 0.01  # the same where a search finds no way with that
 _ROUNDING = 1e-9  # rad: an angle at the end of its range is inside, though degrees became radians
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3; metres of joints that are sliding (indices)."""
+    """Joint limits (n) in the cell's joint order: rad, rad/s, rad/s^2, rad/s^3; metres of joints that are sliding (indices).
+
+    room: what a search keeps from the ends of ranges; nothing that is found is judged by it
+    """
 
     q_min: Array
     q_max: Array
@@ -35,6 +40,7 @@ class Limits:
     acceleration: Array
     jerk: Array
     sliding: tuple[int, ...] = ()
+    room: float = LIMIT_ROOM
 
     @property
     def turns(self) -> Flags:
@@ -191,6 +197,11 @@ class Cell:
         T_world_nozzle = self.arm.poses(q[:, :na])
         T_world_part = self.holder.poses(q[:, na:])
         return rigid_inverse(T_world_part) @ T_world_nozzle
+
+
+def near_ends(cell: Cell) -> Cell:
+    """The cell, searched as near to the ends of joints' ranges as may be, see `Limits.room`."""
+    return replace(cell, limits=replace(cell.limits, room=LEAST_ROOM))
 
 
 def build_cell(problem: Problem) -> Cell:

@@ -23,7 +23,6 @@ from planner.resolve.joint_path import JointPath, SampledTasks, sample_tasks
 from planner.resolve.nodes import full_grid
 from planner.resolve.prices import SIGMA_COMFORT
 from planner.resolve.reach import (
-    LIMIT_ROOM,
     angle_in_range,
     arm_limits,
     arm_numbers,
@@ -159,7 +158,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         wrist = abs(branch_q[c, 4])
                     elif asked.wrist == OFFSET:
                         wrist = np.arcsin(abs(np.sin(branch_q[c, 4] - asked.straight)))
-                    if away < LIMIT_ROOM or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
+                    if away < limits.room or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c

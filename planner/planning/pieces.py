@@ -9,7 +9,6 @@ import numpy as np
 from planner.planning.context import PlanningContext, context_of
 from planner.resolve.ladder import MOST_NODES, coarse_nodes, first_of_each_name, runs_backwards
 from planner.resolve.pauses import Pause, pauses_of
-from planner.resolve.reach import LIMIT_ROOM
 from planner.toolpath.split import split_toolpath
 from planner.toolpath.task import NozzleTask
 
@@ -46,7 +45,7 @@ def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: f
     """
     demand, nodes = coarse_nodes(given.cell, [task], given.problem.resolve, MOST_NODES, given.obstacles)
     spin = float(np.linalg.norm(demand.twist[:, 3:], axis=1).max()) / task.speed  # rad/m
-    room = LIMIT_ROOM + min(_RUNS * given.problem.process.run_in * spin, _MOST_RUNS) + more_room
+    room = given.cell.limits.room + min(_RUNS * given.problem.process.run_in * spin, _MOST_RUNS) + more_room
     return pauses_of(given.cell, task, demand, nodes, least, room) or ()
 
 

@@ -33,6 +33,7 @@ from planner.planning.clearance import coming_nearer, lacks_clearance_only, lead
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
+from planner.planning.joint_ends import nearer_to_ends, noted
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
@@ -125,7 +126,7 @@ def solve(
 
         try:
             check_struts(given)
-            (given, planned, maps), nearer = _as_clear_as_can_be(strategy, given, print_of, stages, over)
+            (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
         except Refusal as refusal:
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
             refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again))
@@ -220,6 +221,27 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
 
 
 Planned = tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]  # what was planned, the plan, and its maps of roll
+
+
+def _as_can_be(
+    strategy: str,
+    given: PlanningContext,
+    print_of: Callable[..., Planned],
+    stages: Stages,
+    over: Spread | None,
+) -> tuple[Planned, Nearer | None]:
+    """What is planned as `_as_clear_as_can_be`; where there is no way as far from the ends of joints' ranges as searches keep,
+    nearer to them, if that gives a verified plan. Raises Refusal."""
+    try:
+        return _as_clear_as_can_be(strategy, given, print_of, stages, over)
+    except Refusal as refusal:
+        nearer = nearer_to_ends(given, refusal, stages)
+        if nearer is None:
+            raise
+        own, planned, maps = print_of(nearer)  # other processes know the room that is usual
+        if not planned.verified:
+            raise
+        return (noted(own, planned.paths[own.first_bead :], refusal), planned, maps), None
 
 
 def _as_clear_as_can_be(

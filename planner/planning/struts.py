@@ -10,12 +10,12 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from planner.base.arrays import Array
-from planner.base.errors import Blocked
+from planner.base.errors import Blocked, Change, Hints
 from planner.cell.solids import packed
 from planner.collision.print_body import tip_slack
 from planner.planning.clearance import may_come_nearer
 from planner.planning.context import PlanningContext
-from planner.resolve.infeasible import descent, into_itself
+from planner.resolve.infeasible import TILTS, descent, into_itself
 from planner.resolve.joint_path import refuse_at
 from planner.toolpath.bead import Bead
 from planner.verify.checks import DIGITS
@@ -23,7 +23,8 @@ from planner.verify.executed import UNKNOWN, ExecutedMotion
 from planner.verify.nozzle import nozzle_nearness
 
 _STEP = 0.2e-3  # m between places along a strut; between these it is looked at as closely as it takes
-_HINT = "a slenderer nozzle (cell.nozzle.profile_mm), or one that may lean (process.cones.nozzle_normal_deg), may pass: not planned"
+_SLENDERER = "a slenderer nozzle (cell.nozzle.profile_mm) may pass: not planned"
+_LEAN = "process.cones.nozzle_normal_deg"
 
 
 def check_struts(given: PlanningContext) -> None:
@@ -51,7 +52,13 @@ def check_struts(given: PlanningContext) -> None:
         reason = f"collision of {name} with {near}: with the axis that is given every posture lacks {-found.least * 1e3:.2f} mm"
         if near == f"bead {k}" and down > 0.0:
             reason += into_itself(down)
-        refuse_at(task, i, reason, hints=lambda: (_HINT,), kind=Blocked)
+        refuse_at(task, i, reason, hints=_hints, kind=Blocked)
+
+
+def _hints() -> Hints:
+    """What may help: a nozzle that leans, which can be planned, or one of another shape, which is the user's to have."""
+    tries = tuple((f"{_LEAN}: {deg:g}", ((_LEAN, f"{deg:g}"),)) for deg in TILTS)
+    return Change(f"{_LEAN}: {TILTS[-1]:g} may let the nozzle lean clear", tries), _SLENDERER
 
 
 def _along(bead: Bead) -> tuple[Array, ExecutedMotion]:

@@ -13,16 +13,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.base.errors import Blocked, Change, MovedBy, Refusal
 from planner.base.processes import cores
-from planner.cell.cell import Cell, translation
+from planner.cell.cell import Cell, near_ends, translation
 from planner.cell.robot import chain_of
 from planner.collision.scene import NOTHING, PART, Obstacles
 from planner.resolve.drawn import SLIGHT, repeated
 from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
-from planner.resolve.reach import CLEAR_ROOM, LIMIT_ROOM
+from planner.resolve.reach import CLEAR_ROOM
 from planner.resolve.search import LadderRoute, Route, angles_along, best_route
 from planner.toolpath.task import NozzleTask
 
@@ -82,6 +82,11 @@ class Stuck:
             except Refusal:
                 return False
         return True
+
+    def has_postures_near_ends(self) -> bool:
+        """Whether the cell has a posture at the place, nearer to the ends of joints' ranges than it is searched."""
+        nearer = replace(self, cell=near_ends(self.cell))
+        return bool(np.isfinite(nearer._prices(nearer.cell, self.demand, np.array([self.rung]))).any())
 
     def serves_tilted(self, tilt: float) -> bool:
         """Whether the cell has a posture at the place, its nozzle this far [rad] off the normal in some direction."""
@@ -324,6 +329,68 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 
 STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
+_PLACES, _NEXT = (
+    48,
+    8,
+)  # rungs spread over a print, and those on both sides of one, that are looked at for what is beyond a range
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Postures that the diagnosis looks at, at a sample of a task: flange poses T_base_flange (m, 4, 4), angles of the given
+    joints (m, k) if there are any, and all branches q (m, b, na), turned into the joints' ranges; which of these there are,
+    and which lie inside the ranges (m, b)."""
+
+    task: NozzleTask
+    sample: int
+    T_base_flange: Array
+    redundant: Array | None
+    q: Array
+    ok: Flags
+    inside: Flags
+
+
+def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int) -> _Tried:
+    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
+    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    na, nh, grid = len(cell.arm), len(cell.holder), nodes.grid
+    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
+    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
+    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
+    if cell.chosen and grid.swept is not None:
+        zero, unit = nodes.scale
+        chosen[:, grid.swept] = zero + unit * swept
+    spot = repeated(tasks[k], i, len(roll))
+    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
+    redundant = chosen[:, nh:] if cell.given else None
+    q, ok = cell.inverse.solve(T, redundant)
+    low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
+    middle = 0.5 * (low + high)
+    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
+    q = np.where(cell.limits.turns[:na], turned, q)
+    return _Tried(tasks[k], i, T, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
+
+
+def _beyond_ranges(
+    cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int
+) -> int | None:
+    """A rung at which nothing is in reach and inside the joints' ranges, of some near this one and some spread over all; the
+    nearest, rather on a bead than in its runs, which can be short. None where there is no such rung among them."""
+    r, grid = len(demand.rung), nodes.grid
+    around = np.arange(max(rung - _NEXT, 0), min(rung + _NEXT + 1, r))
+    some = np.union1d(around, np.linspace(0, r - 1, min(r, _PLACES)).round().astype(np.int64))
+    few = demand.only(some, [0, len(some)])
+    held = None if grid.held is None else grid.held[some]
+    swept = cell.chosen and grid.swept is not None
+    steps = grid.roll_step, grid.holder_step
+    whole = full_grid(few, cell.inverse.branch_count, *steps, bool(swept), grid.swept, held)
+    bare = replace(cell, limits=replace(cell.limits, room=0.0))
+    nowhere = some[~np.isfinite(evaluate(bare, few, whole, 0.0).price).any(axis=(1, 2, 3))]
+    laid = np.concatenate([(np.arange(len(t)) >= t.first) & (np.arange(len(t)) <= t.last) for t in tasks])
+    for at in sorted(nowhere.tolist(), key=lambda at: (not laid[demand.rung[at]], abs(at - rung))):
+        if not _tried_at(cell, tasks, demand, nodes, at).inside.any():
+            return int(at)
+    return None
 
 
 def refuse_rung(
@@ -337,38 +404,26 @@ def refuse_rung(
 ) -> NoReturn:
     """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity or collision.
 
-    With it come hints, found when they are asked for: changes that were tried and would help.
+    With it come hints, found when they are asked for: changes that were tried and would help; and whether there may be a
+    way nearer to the ends of joints' ranges, see `Refusal.near_ends`.
     """
     if demand.cones.tilt > 0.0:
         obstacles = obstacles.but_head_on_part
-    k = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
-    task = tasks[k]
-    i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
+    tried = _tried_at(cell, tasks, demand, nodes, rung)
+    task, i, q, ok = tried.task, tried.sample, tried.q, tried.ok
     na, nh = len(cell.arm), len(cell.holder)
     grid = nodes.grid
 
     stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
 
-    def refuse(reason: str, missing: float | None = None, kind: type[Refusal] = Refusal) -> NoReturn:
-        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind)
+    def refuse(
+        reason: str, missing: float | None = None, kind: type[Refusal] = Refusal, ends: bool = False
+    ) -> NoReturn:
+        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind, ends)
 
-    angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
-    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
-    chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
-    if cell.chosen and grid.swept is not None:
-        zero, unit = nodes.scale
-        chosen[:, grid.swept] = zero + unit * swept
-    spot = repeated(task, i, len(roll))
-    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
-    redundant = chosen[:, nh:] if cell.given else None
-    q, ok = cell.inverse.solve(T, redundant)
     if not ok.any():
-        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(T, redundant).min()))
-    middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
-    q = np.where(cell.limits.turns[:na], turned, q)
-    inside = ok & ((q >= cell.limits.q_min[:na]) & (q <= cell.limits.q_max[:na])).all(axis=2)
-    if not inside.any():
+        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(tried.T_base_flange, tried.redundant).min()))
+    if not tried.inside.any():
         over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
         over[~ok] = np.inf
         worst = over.max(axis=2)
@@ -377,27 +432,30 @@ def refuse_rung(
         reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
         refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
     if not np.isfinite(nodes.price[rung]).any():
-        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= LIMIT_ROOM).all(axis=2) & ok
+        ends, room = stuck.has_postures_near_ends(), cell.limits.room
+        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= room).all(axis=2) & ok
         if not away.any():
-            near = f"every posture is within {np.degrees(LIMIT_ROOM):.0f} deg of the end of a joint's range"
-            refuse(near)
+            beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
+            if beyond is not None:  # here the path comes near to what stops it there
+                refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
+            refuse(f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range", ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
-            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}")
-        tried = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
-        if len(tried):
-            now = np.full(len(tried), demand.now[demand.rung[rung]])
-            margin, which = obstacles.margins(tried, now, np.inf, CLEAR_ROOM)
+            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}", ends=ends)
+        there = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
+        if len(there):
+            now = np.full(len(there), demand.now[demand.rung[rung]])
+            margin, which = obstacles.margins(there, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            standing = obstacles.standing(cell, tried[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
+            standing = obstacles.standing(cell, there[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
             down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
                 every += into_itself(down)
-            refuse(every, kind=Blocked)
+            refuse(every, kind=Blocked, ends=ends)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
-        refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
+        refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=ends)
     if obstacles.any:
         free = evaluate(cell, demand, grid, min_sigma)
         without, _ = best_route(free, demand, cell.limits)
@@ -411,9 +469,10 @@ def refuse_rung(
                 i,
                 _collision(obstacles, pair, lacking, way),
                 hints=partial(path_hints, stuck, tasks[k].tip[i]),
+                near_ends=True,
             )
     reason = "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach"
-    refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]))
+    refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=True)
 
 
 def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles) -> None:

@@ -329,6 +329,7 @@ def refuse_at(
     missing: float | None = None,
     hints: Callable[[], Hints] | None = None,
     kind: type[Refusal] = Refusal,
+    near_ends: bool = False,
 ) -> NoReturn:
     """Raise a Refusal, of this kind, that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
@@ -347,6 +348,7 @@ def refuse_at(
         run=run,
         missing_mm=None if missing is None else missing * 1e3,
         hints=hints or (),
+        near_ends=near_ends,
     )
 
 

@@ -29,7 +29,6 @@ from planner.resolve.prices import (
     SIGMA_PRICE,
 )
 from planner.resolve.reach import (
-    LIMIT_ROOM,
     GridNumbers,
     angle_in_range,
     arm_limits,
@@ -155,7 +154,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     branch, min_sigma, q_out, price = grid.branch, floors.min_sigma, out.q, out.price
     n_rolls, n_holders, n_branches, na = price.shape[1], price.shape[2], price.shape[3], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
-    q_least, q_most = q_min + LIMIT_ROOM - _ROUNDING, q_max - LIMIT_ROOM + _ROUNDING
+    q_least, q_most = q_min + limits.room - _ROUNDING, q_max - limits.room + _ROUNDING
     comfort = max(SIGMA_COMFORT, min_sigma)
     crowded = len(table.pair) + len(table.look) > 0
     slots = branches_of(kind)
@@ -218,7 +217,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                     if not ok[k]:
                         continue
                     away = nearest_turns(branch_q[k], middle, q_min, q_max, limits.turns)
-                    if away < LIMIT_ROOM:
+                    if away < limits.room:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = k // 2 if kind == SPHERICAL_WRIST else k

@@ -16,7 +16,6 @@ from planner.cell.cell import Cell
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.nodes import Nodes
 from planner.resolve.prices import FAR
-from planner.resolve.reach import LIMIT_ROOM
 from planner.resolve.search import joint_limits, label_turns, ladder_numbers, search_best, turns_counted
 from planner.toolpath.task import NozzleTask
 
@@ -54,8 +53,8 @@ def pauses_of(
     task: NozzleTask,
     demand: SampledTasks,
     nodes: Nodes,
-    least_piece: float = 0.0,
-    room: float = LIMIT_ROOM,
+    least_piece: float,
+    room: float,
 ) -> tuple[Pause, ...] | None:
     """The fewest pauses with which a bead can be followed on its whole grid, in order; none if it can be in one go.
 

@@ -19,7 +19,6 @@ from planner.cell.kinematics.inverse import kind_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.resolve.joint_path import SampledTasks
 
-LIMIT_ROOM = 0.07  # rad from a joint's limit that a node must keep: what moves between rungs needs it
 CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed: what moves between rungs needs it
 
 # ----------------------------------------------------------------------------------------------------
@@ -47,13 +46,14 @@ class ArmNumbers(NamedTuple):
 
 class ArmLimits(NamedTuple):
     """Limits (na) of the arm's joints: ends of their ranges [rad], speed [rad/s], acceleration [rad/s^2]; metres of those
-    that do not turn."""
+    that do not turn. room: what nodes keep from those ends."""
 
     q_min: Array
     q_max: Array
     v_max: Array
     a_max: Array
     turns: Flags
+    room: float
 
 
 class SweptJoint(NamedTuple):
@@ -62,7 +62,8 @@ class SweptJoint(NamedTuple):
     T_before, T_after (r, 4, 4), axis (6)   world to part: T_before, what the swept joint does about or along its axis (as in
                                             Chain), T_after
     sweeps                                  0 nothing, 1 a holder joint, 2 and more the arm's joints that are given, the first one 2
-    joint                                   that joint among all, or -1; low, high: ends of its range [rad]
+    joint                                   that joint among all, or -1; low, high: ends of its range [rad],
+                                            from which nodes keep `room`
     slides, zero, unit                      whether it slides; its place is then zero + unit times the swept angle [m]
     holder (r, nh), redundant (r, k)        angles of the holder's joints and of the arm's given ones (one, if there are none)
     """
@@ -74,6 +75,7 @@ class SweptJoint(NamedTuple):
     joint: int
     low: float
     high: float
+    room: float
     slides: bool
     zero: float
     unit: float
@@ -150,7 +152,7 @@ def arm_limits(cell: Cell) -> ArmLimits:
     """The limits of the cell's arm for kernels."""
     limits, na = cell.limits, len(cell.arm)
     ends = limits.q_min[:na], limits.q_max[:na]
-    return ArmLimits(*ends, limits.velocity[:na], limits.acceleration[:na], limits.turns[:na])
+    return ArmLimits(*ends, limits.velocity[:na], limits.acceleration[:na], limits.turns[:na], limits.room)
 
 
 def grid_scale(limits: Limits, joint: int) -> tuple[float, float]:
@@ -172,7 +174,8 @@ def swept_joint(cell: Cell, swept: int | None, held: Array) -> SweptJoint:
     low, high = (-np.inf, np.inf) if swept is None else (float(limits.q_min[joint]), float(limits.q_max[joint]))
     redundant = held[:, nh:].copy() if cell.given else np.zeros((len(held), 1))
     scale = joint in limits.sliding, *grid_scale(limits, joint)
-    return SweptJoint(T_before, axis, T_after, sweeps, joint, low, high, *scale, held[:, :nh].copy(), redundant)
+    ends = low, high, limits.room
+    return SweptJoint(T_before, axis, T_after, sweeps, joint, *ends, *scale, held[:, :nh].copy(), redundant)
 
 
 def rung_numbers(demand: SampledTasks) -> RungNumbers:
@@ -233,15 +236,15 @@ def nearest_turns(q, middle, q_min, q_max, turns) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def angle_in_range(swept, angle: float):
-    """An angle of the swept joint [rad], turned into its range, and whether it keeps LIMIT_ROOM from the ends; the place [m]
+    """An angle of the swept joint [rad], turned into its range, and whether it keeps room from the ends; the place [m]
     of a joint that slides."""
     if swept.slides:
         place = swept.zero + swept.unit * angle
-        return place, not min(place - swept.low, swept.high - place) < LIMIT_ROOM
+        return place, not min(place - swept.low, swept.high - place) < swept.room
     if swept.sweeps == 0 or not swept.high - swept.low < 2.0 * np.pi:
         return angle, True
     turned = nearest_turn(angle, 0.5 * (swept.low + swept.high))
-    return turned, not min(turned - swept.low, swept.high - turned) < LIMIT_ROOM
+    return turned, not min(turned - swept.low, swept.high - turned) < swept.room
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,7 +16,6 @@ from planner.cell.cell import Limits
 from planner.resolve.joint_path import MARGIN, SampledTasks
 from planner.resolve.nodes import Grid, Nodes
 from planner.resolve.prices import DIP_PRICE, FAR, FAR_PRICE, PAUSE_PRICE, TRAVEL_PRICE, TURN_PRICE
-from planner.resolve.reach import LIMIT_ROOM
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
@@ -524,7 +523,7 @@ def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Ro
     looked_at = joint_limits(nodes, limits)._replace(far=JUMP)  # who does not look ahead is not kept out of anything
     arm = slice(0, nodes.q.shape[-1])
     picked, price, stuck = search_greedy(
-        ladder_numbers(nodes, demand), looked_at, limits.q_min[arm] + LIMIT_ROOM, limits.q_max[arm] - LIMIT_ROOM
+        ladder_numbers(nodes, demand), looked_at, limits.q_min[arm] + limits.room, limits.q_max[arm] - limits.room
     )
     return _route(nodes, picked, price) if stuck < 0 else None, int(stuck)
 

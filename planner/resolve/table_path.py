@@ -38,7 +38,6 @@ from planner.resolve.prices import (
     TRAVEL_PRICE,
 )
 from planner.resolve.reach import (
-    LIMIT_ROOM,
     arm_limits,
     arm_numbers,
     inverse_in_part,
@@ -188,7 +187,7 @@ def _angles(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
     if high - low >= 2.0 * np.pi:
         n = int(np.ceil(2.0 * np.pi / step))
         return np.asarray(-np.pi + 2.0 * np.pi / n * np.arange(n)), True
-    room = min(LIMIT_ROOM, 0.25 * (high - low))
+    room = min(cell.limits.room, 0.25 * (high - low))
     low, high = low + room, high - room
     n = max(int(np.ceil((high - low) / step)), 1)
     return np.asarray(low + (high - low) / n * np.arange(n + 1)), False
@@ -305,7 +304,7 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
                 if not ok[k]:
                     continue
                 away = nearest_turns(branch_q[k], middle, q_min, q_max, limits.turns)
-                if away < LIMIT_ROOM:
+                if away < limits.room:
                     continue
                 if kind == SPHERICAL_WRIST:
                     regular = inverse_jacobian(p, sines_of(branch_q[k]), T_base_nozzle[:3, 3], Ji)
