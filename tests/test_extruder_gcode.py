@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -168,3 +169,51 @@ def test_nothing_comes_before_relative_extrusion() -> None:
     text = gcode(make_plan())
     with pytest.raises(InputError, match="stands before M83"):
         read_gcode(text.replace("M83\n", "", 1))
+
+
+def moves_of(lines: list[str]) -> list[int]:
+    return [k for k, line in enumerate(lines) if line.startswith("G1 E")]
+
+
+def all_at_once(lines: list[str]) -> list[str]:
+    """The whole filament in the first move, at the rate that lasts as long as all."""
+    moves = moves_of(lines)
+    words = [line.split() for line in (lines[k] for k in moves)]
+    amounts, rates = ([float(word[i][1:]) for word in words] for i in (1, 2))
+    seconds = sum(abs(amount) / rate for amount, rate in zip(amounts, rates, strict=True))
+    out = [line for k, line in enumerate(lines) if k not in moves]
+    out.insert(moves[0], f"G1 E{sum(amounts):.5f} F{sum(amounts) / seconds:.3f}")
+    return out
+
+
+def backwards(lines: list[str]) -> list[str]:
+    """All moves and pauses in reversed order."""
+    own = [k for k, line in enumerate(lines) if line.startswith(("G1 E", "G4 P"))]
+    out = list(lines)
+    for k, other in zip(own, reversed(own), strict=True):
+        out[k] = lines[other]
+    return out
+
+
+def with_pause_moved(lines: list[str]) -> list[str]:
+    """The longest pause between beads behind the next bead's last move."""
+    pauses = [
+        k for k, line in enumerate(lines) if line.startswith("G4 P") and moves_of(lines)[0] < k < moves_of(lines)[-1]
+    ]
+    longest = max(pauses, key=lambda k: int(lines[k][4:]))
+    behind = next((k for k in pauses if k > longest), len(lines))
+    return [*lines[:longest], *lines[longest + 1 : behind], lines[longest], *lines[behind:]]
+
+
+@pytest.mark.parametrize("spoil", [all_at_once, backwards, with_pause_moved])
+@pytest.mark.parametrize("firmware", ["reprap", "klipper"])
+def test_filament_that_moves_when_it_is_not_due_is_found(
+    firmware: str, spoil: Callable[[list[str]], list[str]]
+) -> None:
+    """In all it is as much, and lasts as long."""
+    problem = load_problem(small_problem().file, ["process.prime={length_mm: 1, speed_mm_s: 30}"])
+    plan = with_board(solve_alone(problem), firmware=firmware, sync="free")
+    text = gcode(plan)
+    assert differences(plan, {FILE: text}) == []
+    found = differences(plan, {FILE: "\n".join(spoil(text.splitlines())) + "\n"})
+    assert any("more or less than planned have moved" in each for each in found)

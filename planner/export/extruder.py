@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Indices
+from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
@@ -496,7 +496,10 @@ class BoardStep(NamedTuple):
 @dataclass(frozen=True)
 class Extrusion:
     """What the program does: filament in all [m] by tool, when tools are selected [s], the other lines for the board with
-    their times [s], where it waits for the robot, lines of its beginning, and how long it lasts [s]."""
+    their times [s], where it waits for the robot, lines of its beginning, and how long it lasts [s].
+
+    fed (k, 2): filament in all [m] at times [s], at the beginning and the end of each line that moves some.
+    """
 
     filament: dict[int | None, float]
     selections: tuple[tuple[float, int], ...]
@@ -504,6 +507,7 @@ class Extrusion:
     duration: float
     steps: tuple[BoardStep, ...] = ()
     begin: tuple[str, ...] = ()
+    fed: tuple[tuple[float, float], ...] = ()
 
 
 def read_gcode(text: str, board: BoardSpec | None = None, signals: Sequence[float] = ()) -> Extrusion:
@@ -528,6 +532,7 @@ def read_gcode(text: str, board: BoardSpec | None = None, signals: Sequence[floa
         state.now,
         tuple(state.steps),
         tuple(state.begin),
+        tuple(state.fed),
     )
 
 
@@ -541,6 +546,7 @@ class _Reading:
         self.ordered: list[tuple[float, str]] = []
         self.steps: list[BoardStep] = []
         self.begin: list[str] = []
+        self.fed: list[tuple[float, float]] = []
         self.now, self.repeated = 0.0, ""
         self._loop: tuple[int, int] | None = None  # input, and most repetitions
         self._took = 0.0
@@ -596,6 +602,8 @@ class _Reading:
         self._fed += amount * 1e-3
         took = abs(amount) / rate if self.board is None else lasts(self.board, np.array(amount), np.array(rate))
         self._took = float(took)
+        total = self.fed[-1][1] if self.fed else 0.0
+        self.fed += [(self.now, total), (self.now + self._took, total + amount * 1e-3)]
         self.now += self._took
 
     def _wait(self, parts: tuple[str, ...], signals: Sequence[float]) -> None:
@@ -630,9 +638,46 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     if written.begin != FIRMWARES[board.firmware].begin:
         found.append("it does not begin as the board's firmware asks for")
     found += _out_of_step(plan, found_stretches, written.steps)
+    found += _fed_otherwise(plan, found_stretches, written.fed)
     if not abs(written.duration - float(t.t[-1] - t.t[0])) <= LATE + t.dt + (RAMPS if board.from_rest else 0.0):
         found.append(f"it lasts {written.duration:.3f} s")
     return found
+
+
+def _fed_otherwise(plan: Plan, planned: Sequence[Stretch], fed: Sequence[tuple[float, float]]) -> list[str]:
+    """Whether filament moves when it is to: as much at each time as the plan's feed has had within `around` of it.
+
+    A prime may come sooner where the board waits for the robot, see `early`.
+    """
+    if not fed:
+        return []  # too little in all is told by `filament_differences`
+    t, board = plan.trajectory, plan.problem.program.board
+    at, total = np.array(fed).T
+    clock, feed = t.t - t.t[0], t.feed - t.feed[0]
+    rate = 1e3 * float(np.abs(np.diff(feed)).max(initial=0.0)) / t.dt
+    around = LATE + 2.0 * t.dt + (ENOUGH * least_time(board, rate) + RAMPS if board.from_rest else TAIL_S)
+    around += NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
+    off = _beyond(clock, feed, at, total, around, around)
+    primes = [event for event in t.events if event.kind == "prime"] if planned else []
+    for event in primes:
+        start = event.start - float(t.t[0])
+        gone = [each.off for each in planned if each.off <= start]
+        sooner = early(t, start, gone[-1] if gone else 0.0)
+        near = (at >= start - sooner - around) & (at <= start + event.duration)
+        off[near] = _beyond(clock, feed, at[near], total[near], around, around + sooner)
+    worst = int(np.argmax(off))
+    if off[worst] <= AMOUNT:
+        return []
+    return [f"at {at[worst]:.3f} s {off[worst] * 1e3:.3g} mm of filament more or less than planned have moved"]
+
+
+def _beyond(clock: Array, feed: Array, at: Array, total: Array, before: float, behind: float) -> Array:
+    """How far (k) [m] totals at some times (k) [s] are outside of what the feed has between so long before and behind them."""
+    first = np.searchsorted(clock, at - before, side="left").clip(0, len(clock) - 1)
+    last = np.searchsorted(clock, at + behind, side="right").clip(1, len(clock))
+    cuts = np.column_stack([first, np.minimum(last, len(clock) - 1)]).ravel()
+    low, high = (ufunc.reduceat(feed, cuts)[::2] for ufunc in (np.minimum, np.maximum))
+    return np.maximum(np.maximum(low - total, total - high), 0.0)
 
 
 def _planned_orders(plan: Plan) -> list[tuple[float, str]]:

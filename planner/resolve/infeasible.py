@@ -329,10 +329,8 @@ _GIVES = {_HERE: "gives postures here, though no path all along", _ALONG: "gives
 
 STEEP = np.radians(20.0)  # between path and surface: the face's edge is a third of its radius beneath the tip
 _TRIED = 72  # rolls and holder angles that the diagnosis looks at
-_PLACES, _NEXT = (
-    48,
-    8,
-)  # rungs spread over a print, and those on both sides of one, that are looked at for what is beyond a range
+# For what is beyond a range, rungs are looked at: some spread over the print, and those on both sides of one.
+_PLACES, _NEXT = 48, 8
 
 
 @dataclass(frozen=True)
