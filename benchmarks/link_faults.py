@@ -33,6 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from planner.base.results import digest
 from planner.export.program import RobotProgram
 from planner.link import command
 from planner.simulate.board import BOARD_FAULTS, CONTROLLER_FAULTS, faults_of
@@ -119,7 +120,9 @@ def written(folder: Path) -> Path:
     rows = [
         f"{n},{(n - 2) // 6 if 1 < n < len(LINES) else -1},0,{0.1 * n:.3f},{text}" for n, text in enumerate(LINES, 1)
     ]
-    (folder / f"{MODULE}_lines.csv").write_text("\n".join(["n,bead,layer,t_s,text", *rows, ""]))
+    table = folder / f"{MODULE}_lines.csv"
+    table.write_text("\n".join(["n,bead,layer,t_s,text", *rows, ""]))
+    (folder / "plan.json").write_text(json.dumps({"files": {each.name: digest(each) for each in (path, table)}}))
     return path
 
 

@@ -18,6 +18,7 @@ from planner.base.errors import InputError, OutputError
 from planner.export.tables import FIXED
 from planner.plan import Plan
 from planner.plan.plan import columns_of
+from planner.plan.seal import sealed
 from planner.planning.pipeline import load, solve, write
 from planner.problem import Problem
 from planner.resolve.strategies import STRATEGIES
@@ -125,7 +126,7 @@ def test_write_puts_all_files_in_place_or_none(tmp_path: Path) -> None:
     assert {"plan.json", "trajectory.csv", "report.html", "report_part.stl", "Small.mod"} <= names
     assert done.timing_s["total"] >= done.timing_s["export"] > 0.0 and "export" not in plan.timing_s
     failing = replace(plan, checks=(replace(plan.checks[0], ok=False), *plan.checks[1:]))
-    write(failing, folder)
+    write(sealed(failing), folder)
     assert {path.name for path in folder.iterdir()} == {
         "plan.json",
         "trajectory.csv",

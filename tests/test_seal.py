@@ -243,7 +243,7 @@ def without_a_move(text: str) -> str:
 
 def test_plan_json_lists_what_was_written(results: Path) -> None:
     listed = json.loads((results / "plan.json").read_text())["files"]
-    assert set(listed) == {path.name for path in results.iterdir()} - {"plan.json", "manifest.json"}
+    assert set(listed) == {path.name for path in results.iterdir()} - {"plan.json", "manifest.json", "report.html"}
     assert differing(results, listed) == {}
 
 

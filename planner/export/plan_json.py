@@ -115,7 +115,7 @@ KEYS = {
     "versions": "versions of everything that the result depends on",
     "baseline": "the metrics of strategy as_published in the same cell; empty where it has no plan",
     "settings": "seconds between samples, what --set changed, and the names of terms of the user's own, if any",
-    "files": "SHA-256 of each file that was written with it, by name: the link runs no other",
+    "files": "SHA-256 of each program and table that was written with it, by name: the link runs no others",
     "refusal": "where there is no plan at all, in place of what follows checks: reason, place and hints",
 }
 DIP_KEYS = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Array, Indices
+from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
 from planner.export.arcs import Segments, segments
 from planner.export.external import external_read, external_written
@@ -109,6 +109,8 @@ PIECES = 64  # pieces compared at once: bounds the memory
 ROUNDED = 5e-6  # m by which a path may be off by the numbers in a file, and by joints that carry the nozzle
 # rad, of the fields of `Agreement`, before they are widened; where the path turns quickly, it counts which sample is taken
 AXIS, SWING, FREE = np.radians(0.105), np.radians(0.51), np.radians(0.26)
+PACE = 2e-3  # m/s: speeds of travel are rounded up to whole mm/s
+BESIDE = 2  # samples by which a target may be beside its own one
 LATE_TARGET = 12e-3  # s
 
 
@@ -130,6 +132,8 @@ class Agreement:
     wait      how long the robot stands still, wherever it does [s]
     conf      targets whose configuration is not that of the plan's posture
     output    times that another output is switched than that of the bead's material
+    pace      programmed speed of travel moves off the plan's greatest within them, where the language has one [m/s]
+    swerves   moves in beads that are neither lines nor arcs
     """
 
     widest: float
@@ -146,6 +150,8 @@ class Agreement:
     wait: float
     conf: int
     output: int
+    pace: float
+    swerves: int
 
     def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
@@ -162,6 +168,8 @@ class Agreement:
             "wait": (2e-3, "s"),
             "conf": (0, "targets"),
             "output": (0, "times"),
+            "pace": (PACE, "m/s"),
+            "swerves": (0, "moves in beads"),
         }
         return beyond(
             (f"{name} differs by {{:.3g}} {unit}", getattr(self, name), limit) for name, (limit, unit) in limits.items()
@@ -179,7 +187,7 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
         far = (np.inf,) * 10
-        return Agreement(widest, widening, *far, len(program.conf), len(program.triggers))
+        return Agreement(widest, widening, *far, len(program.conf), len(program.triggers), np.inf, 0)
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
@@ -201,6 +209,8 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
         wait=waits_differ(plan, program),
         conf=_wrong_configurations(plan, match),
         output=_wrong_outputs(plan, program, first),
+        pace=_travel_pace(plan, match, on),
+        swerves=int(np.count_nonzero(_within(match, on)[0] & ~match.all.linear[:-1])),
     )
 
 
@@ -338,6 +348,36 @@ def _late(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     doubt = np.where(beside < CLOSE, OTHERS, 1.0) * trajectory.dt
     off = np.maximum(np.abs(programmed - planned) - doubt, 0.0)
     return float(off[on[match.piece]].max(initial=0.0))
+
+
+def _within(match: _Match, on: NDArray[np.bool_]) -> tuple[Flags, Flags]:
+    """Ways (m - 1) in beads, and in travel; those from a piece to the next are none."""
+    own = match.piece[1:] == match.piece[:-1]
+    laid = on[match.piece[:-1]]
+    return own & laid, own & ~laid
+
+
+def _travel_pace(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+    """How far the programmed speed of a travel move is off the plan's greatest within it, at worst [m/s].
+
+    Which sample is a target's own is known to BESIDE. Speeds from FAST on are those that a language leaves open.
+    """
+    speed = match.all.speed[:-1]
+    step = np.linalg.norm(np.diff(plan.trajectory.tip, axis=0), axis=1) / plan.trajectory.dt
+    fastest = plan.problem.process.travel_speed
+    a, b = match.at[:-1], match.at[1:]
+    chosen = np.flatnonzero(_within(match, on)[1] & (speed < FAST) & (b - a > 2 * BESIDE) & (match.ways.length > 0.0))
+    if not len(chosen):
+        return 0.0
+
+    def peak(first: Indices, last: Indices) -> Array:
+        n = len(step)
+        cuts = np.column_stack([np.clip(first, 0, n - 1), np.clip(last, 1, n - 1)]).ravel()
+        return np.maximum.reduceat(step, cuts)[::2]
+
+    least, most = peak(a[chosen] + BESIDE, b[chosen] - BESIDE), peak(a[chosen] - BESIDE, b[chosen] + BESIDE)
+    over = speed[chosen] - np.clip(most, 0.0, fastest)
+    return float(np.maximum(over, np.minimum(least, fastest) - speed[chosen]).max())
 
 
 def _wrong_configurations(plan: Plan, match: _Match) -> int:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from planner.plan import Plan
     from planner.problem import Problem
 
-PLAN = "plan.json"
+PLAN, REPORT = "plan.json", "report.html"
 LONGEST_HEADER = 20_000  # characters
 
 
@@ -40,8 +40,8 @@ def write_plan(plan: Plan, folder: Path) -> Path:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file beside plan.json, by name."""
-    beside = sorted(path for path in folder.iterdir() if path.is_file() and path.name != PLAN)
+    """SHA-256 of each file beside plan.json, by name; but of the report, which tells how long all took."""
+    beside = sorted(path for path in folder.iterdir() if path.is_file() and path.name not in (PLAN, REPORT))
     return {path.name: digest(path) for path in beside}
 
 

@@ -461,10 +461,9 @@ class _Handler(BaseHTTPRequestHandler):
         query = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         self._json_asked = query.get("json") == "1" or (desk.two and "xhtml" not in self.headers.get("Accept", ""))
         try:
-            if self._from_a_page():
-                self.close_connection = True
-                raise Denied(403, "requests of other pages are refused")
             body = self._body(LARGEST_FILE if method == "PUT" else LONGEST_FORM)
+            if self._from_a_page():
+                raise Denied(403, "requests of other pages are refused")
             if desk.controller.silent:
                 raise Denied(503, "restarting")
             if parts.path.startswith("/poll/"):
