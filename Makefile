@@ -9,7 +9,7 @@ PEERS := .venv-peers
 THIRD := .venv-third-party
 FLOORS := .venv-floors
 
-.PHONY: solve test test-all test-floors lint format docs docs-serve peers third-party requirements clean
+.PHONY: solve test test-all test-floors lint format docs docs-serve peers third-party attack requirements clean
 
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
@@ -53,6 +53,10 @@ third-party: $(READY) $(THIRD)/.ready
 # Writes requirements.txt anew from what is installed; for whoever changes a version in pyproject.toml.
 requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
+
+# Plans, programs and the extruder's G-code, spoilt at random: what is not found escapes.
+attack: $(READY)
+	$(BIN)/python -m benchmarks.attack --count 500
 
 clean:
 	rm -rf .venv $(DOCS) $(PEERS) $(THIRD) $(FLOORS) out site

@@ -626,6 +626,19 @@ def test_reader_refuses_what_it_does_not_know(old, new, message):
         assert error.value.line == line
 
 
+@pytest.mark.parametrize("target", [0, 1], ids=["on the way", "at the end"])
+def test_reader_refuses_an_orientation_that_is_none(target):
+    """A controller stops at a quaternion whose length is not 1, be it of a point on an arc's way, whose own nobody follows."""
+    lines = rapid(make_plan()).splitlines()
+    at = next(k for k, line in enumerate(lines) if "MoveC [[" in line)
+    orientation = list(re.finditer(r"\],\[(-?\d\.\d{7}),", lines[at]))[target]
+    more = f"{float(orientation[1]) + 0.01:.7f}"
+    lines[at] = f"{lines[at][: orientation.start(1)]}{more}{lines[at][orientation.end(1) :]}"
+    with pytest.raises(InputError, match="an orientation whose quaternion has length") as error:
+        read_rapid("\n".join(lines) + "\n")
+    assert error.value.line == at + 1
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -80,6 +80,7 @@ GRAMMAR = Grammar.of(
     },
 )
 DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "proc")
+UNIT = 1e-5  # by which a quaternion's length may miss 1: numbers have 7 decimals
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 
 
@@ -401,8 +402,12 @@ class _Run:
         table = target_numbers([move.parts[_TO] for move in self.moves])
         position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in self.moves])
         arcs = np.full_like(position, np.nan)
+        self.check_orientations(self.moves, table)
         if circular.any():
-            arcs[circular] = target_numbers([move.parts[_VIA] for move in self.moves if move.parts[_VIA]])[:, :3] * 1e-3
+            on_arcs = [move for move in self.moves if move.parts[_VIA]]
+            vias = target_numbers([move.parts[_VIA] for move in on_arcs])
+            self.check_orientations(on_arcs, vias)
+            arcs[circular] = vias[:, :3] * 1e-3
         begin = np.vstack([position[:1], position[:-1]])
         lengths = segments(begin, np.where(circular[:, None], arcs, position), position, circular).length
         station, uframe, oframe = next(iter(module.wobj.values()))
@@ -432,6 +437,15 @@ class _Run:
             send_rests={i: tuple(rests) for i, rests in self.rested.items()},
             arcs=arcs if circular.any() else None,
         )
+
+    @staticmethod
+    def check_orientations(moves: Sequence[Statement], targets: Array) -> None:
+        """Raises InputError for the first of some moves whose target (m, 17) has a quaternion that is none of a rotation,
+        at which a controller stops."""
+        length = np.linalg.norm(targets[:, 3:7], axis=1)
+        wrong = np.flatnonzero(np.abs(length - 1.0) > UNIT)
+        if len(wrong):
+            raise moves[wrong[0]].error(f"an orientation whose quaternion has length {length[wrong[0]]:.5g}, not 1")
 
     def used(self, move: Statement) -> list[str]:
         """The triggers of a move, T1, T2 and so on."""
