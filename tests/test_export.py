@@ -441,6 +441,18 @@ def _shifted(column, amount, decimals):
     return change
 
 
+def _leaning(angle):
+    """The nozzle turned by an angle [rad] about its own x axis; quaternions are w x y z here."""
+
+    def change(match):
+        w, x, y, z = (float(value) for value in match.group(1).split(","))
+        c, s = np.cos(0.5 * angle), np.sin(0.5 * angle)
+        turned = (c * w - s * x, c * x + s * w, c * y + s * z, c * z - s * y)
+        return match.group(0).replace(match.group(1), ",".join(f"{value:.7f}" for value in turned))
+
+    return change
+
+
 def _lines(plan):
     """The same plan in a program without arcs."""
     return written_with(plan, arcs=False)
@@ -529,7 +541,7 @@ def test_an_arc_in_place_of_a_line_is_found(which, way):
     ("pattern", "change", "which", "named"),
     [
         (JOINT_TARGET, _shifted(2, 0.2, 3), 12, "path"),
-        (ARC_QUAT, _shifted(0, 0.004, 7), 2, "axis"),
+        (ARC_QUAT, _leaning(0.01), 2, "axis"),
         (ARC_CONF, _shifted(3, 2, 0), 2, "conf"),
         (ARC_CONF, _shifted(1, 1, 0), 2, "conf"),
         (ARC_EXTERNAL, _shifted(1, 0.6, 4), 2, "external"),
@@ -560,7 +572,7 @@ def test_a_program_that_says_something_else_is_found(pattern, change, which, nam
 @pytest.mark.parametrize(
     ("pattern", "change", "which", "named"),
     [
-        (LINE_QUAT, _shifted(0, 0.004, 7), 12, "axis"),
+        (LINE_QUAT, _leaning(0.01), 12, "axis"),
         (LINE_CONF, _shifted(3, 2, 0), 12, "conf"),
         (LINE_CONF, _shifted(1, 1, 0), 12, "conf"),
         (LINE_EXTERNAL, _shifted(1, 0.6, 4), 12, "external"),
