@@ -155,7 +155,10 @@ def _play(program: RobotProgram, cell: Cell, folder: Path, found: Mapping[str, s
     tip = played.at(times).position
     off = distance_to_polyline(tip, planned * 1e-3)
     worst = int(np.argmax(off))
-    say(f"the tip is at most {1e3 * off[worst]:.2f} mm off the planned path, at {times[worst]:.1f} s of the program")
+    say(
+        f"the tip is at most {1e3 * off[worst]:.2f} mm off the planned path, at {times[worst]:.1f} s of the program; "
+        "that is from the path's nearest point, which may be on another pass"
+    )
 
 
 def _columns(path: Path, names: Iterable[str]) -> list[int]:
