@@ -62,6 +62,7 @@ CHECKS = {
     "extrusion balance",
     "flow per millimetre",
     "filament fed",
+    "print pressed by the nozzle",
     "nozzle tip outside the part",
 }
 
@@ -925,7 +926,7 @@ def test_the_files_have_the_promised_fields(files: Files) -> None:
     waypoints beads layers deposited_length_mm deposition_time_s ideal_deposition_time_s print_time_s at_speed_fraction
     speed_min_mm_s speed_max_mm_s sigma_min sigma_p01 wrist_margin_deg joint_limit_margin_deg velocity_ratio_max
     acceleration_ratio_max jerk_ratio_max position_error_max_mm axis_error_max_deg path_deviation_max_mm
-    tip_clearance_min_mm nozzle_clearance_min_mm arm_clearance_min_mm robot_clearance_min_mm clearance_min_mm
+    tip_clearance_min_mm nozzle_clearance_min_mm nozzle_pressed_max_mm arm_clearance_min_mm robot_clearance_min_mm clearance_min_mm
     branch_changes_in_deposition extruded_mm extruded_volume_mm3 bound_deposition_time_s bound_any_path_s bound_gap_fraction flow_error_max
     """
     assert set(metrics.split()) == set(files.metrics)

@@ -153,6 +153,11 @@ METRICS: dict[str, Measure] = {
         "least distance of nozzle and print head from part and print, beyond the zone at the tip",
         "bodies of the head, moved by forward kinematics, against points of part and print; at most 50",
     ),
+    "nozzle_pressed_max_mm": Measure(
+        "mm",
+        "how deep the nozzle presses into beads printed before, at most",
+        "the nozzle's outline against balls laid anew by the executed tip; 0 where it touches them at most",
+    ),
     "arm_clearance_min_mm": Measure(
         "mm",
         "least distance of the robots' links from part and print",
@@ -360,7 +365,13 @@ CHECKS: dict[str, Measure] = {
     "nozzle clear of part and print": Measure(
         "mm",
         "nozzle and print head keep their distance from part and print; near the tip, where they must touch, less and less",
-        "see nozzle_clearance_min_mm; the limit is collision.nozzle_mm",
+        "see nozzle_clearance_min_mm; the limit is collision.nozzle_mm. Where it fails near the tip: the true distance, "
+        "negative inside, and what is asked for there",
+    ),
+    "print pressed by the nozzle": Measure(
+        "of a bead's height",
+        "the nozzle presses into beads printed before by no more than it may",
+        "see nozzle_pressed_max_mm, by the height of the bead",
     ),
     "arm clear of part and print": Measure(
         "mm",

@@ -57,6 +57,7 @@ METRICS = (
     MetricLabel("nozzle_clearance_min_mm", "  of nozzle and print head from part and print", "mm", 1, better="up"),
     MetricLabel("arm_clearance_min_mm", "  of the robots’ links from part and print", "mm", 1, better="up"),
     MetricLabel("robot_clearance_min_mm", "  of robots and fixtures from each other", "mm", 1, better="up"),
+    MetricLabel("nozzle_pressed_max_mm", "Nozzle presses into beads printed before, at most", "mm", 3, better="down"),
     MetricLabel("tip_clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
     MetricLabel("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
     MetricLabel("deposited_length_mm", "Length deposited", "m", 2, 1e-3),

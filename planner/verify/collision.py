@@ -24,7 +24,7 @@ from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
 from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, place
-from planner.verify.nozzle import Nearness, check_nozzle, print_times
+from planner.verify.nozzle import Nearness, asked_at, check_nozzle, print_times
 
 MOST_APPROACHES = 12  # pairs of bodies that the plan names
 _SEEN = 0.1  # m: greatest distance from the print that is computed; the larger, the longer a body can be left out
@@ -130,15 +130,16 @@ def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) ->
     found = _approaches(apart.bodies, (*hits, *apart.near_print), swept, body.without_bodies)
     robots, prints = found[: len(hits)], found[len(hits) :]
     checks = (
-        check_nozzle(judged, rule),
+        check_nozzle(judged, near),
         _check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)),
         _check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)),
     )
     nozzle = []
-    for each in (rule, beyond) if rule.least < 0.0 else (beyond,):  # by the rule it is no plain distance
-        if each.point >= 0 and each.least + spec.nozzle < FAR:
+    asked = (beyond, spec.nozzle), (rule, asked_at(judged, rule))
+    for each, need in asked if rule.least < 0.0 else asked[:1]:
+        if each.point >= 0 and each.least + need < FAR:
             names = cell.head[each.body].name, body.name_of(each.point)
-            nozzle.append(Approach(*names, each.least + spec.nozzle, spec.nozzle, each.at))
+            nozzle.append(Approach(*names, each.least + need, need, each.at))
     distances = {
         "nozzle_clearance_min_mm": min(FAR, beyond.least + spec.nozzle),
         "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),

@@ -2,7 +2,8 @@
 
 No fixed distance can be kept where the nozzle lays one bead beside another. In the tip's zone a point at distance r from
 the tip is to be TIP_SLOPE * r away, less a slack for the nozzle's face and the bead; where that exceeds the distance asked
-for, the latter is kept. The margin of a point is its distance less what it is to keep.
+for, the latter is kept. The margin of a point is its distance less what it is to keep; checks tell true distances, and what
+is asked for at the same place. How deep beads are pressed where even less than nothing is asked for: `pressed`.
 
 The compiled loops bound by how much a margin can change with the motion, and pass over samples, points and instants
 between samples as long as the least margin cannot lie there. All is in the part frame, in metres; n counts samples.
@@ -42,6 +43,7 @@ _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _STEEP = 1e3  # slope by which no point within the tip's zone counts
+_SPARE = 0.05  # of what is to spare beyond the tip's zone, by which the least that is found may exceed the true one
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -249,8 +251,8 @@ def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both,
 def margins_along(tree, solids, way, clearance, slope, margin, stack):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
-    The slope is so steep that only points beyond the tip's zone count, slack / slope away. Of what these have to spare
-    the least is found only so far that none is missed that lacks. A search begins with the point that was nearest before.
+    The slope is so steep that only points beyond the tip's zone count, slack / slope away. The least that these have to
+    spare is found to _SPARE of it. A search begins with the point that was nearest before.
     Arguments as in `least_along`; margin (n) [m].
     """
     points, radius, time = tree.points, tree.radius, tree.time
@@ -284,7 +286,8 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
                 moved = _RATE * (path[k] - path[before] + arm * (turned[k] - turned[before]))
                 parts = 1
                 while (
-                    0.5 * (value + value_before - moved / parts) < min(least - TOLERANCE, 0.0) and parts < _MOST_PARTS
+                    0.5 * (value + value_before - moved / parts) < least - max(TOLERANCE, _SPARE * least)
+                    and parts < _MOST_PARTS
                 ):
                     parts *= 2
                 for i in range(1, parts):
@@ -298,7 +301,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
                 margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
             if k == n - 1:
                 break
-            target = min(least - TOLERANCE, 0.0)
+            target = least - max(TOLERANCE, _SPARE * least)
             m = k + 1
             while m < min(n - 1, k + _OFTEN):
                 moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
@@ -408,7 +411,7 @@ def beyond_the_tip(
 ) -> Nearness:
     """Margins of true distances, less the clearance, from points beyond the tip's zone.
 
-    The least is exact, to TOLERANCE, only where it is negative.
+    The least is exact to TOLERANCE where it is negative, and to _SPARE of it elsewhere.
     """
     zone = (clearance + slack) / TIP_SLOPE
     way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack, look))
@@ -446,15 +449,43 @@ def beyond(judged: Judged) -> Nearness:
     )
 
 
-def check_nozzle(judged: Judged, rule: Nearness) -> Check:
-    """The check, from how near nozzle and head come by the rule for the tip."""
+def check_nozzle(judged: Judged, near: tuple[Nearness, Nearness]) -> Check:
+    """The check of nozzle and head, by the rule for the tip; told are true distances.
+
+    Where the rule holds, the least distance beyond the tip's zone is told; where it does not, the distance at the worst
+    place, and what is asked for there. near: the results of `by_the_tip` and `beyond`
+    """
+    rule, far = near
+    name, need = "nozzle clear of part and print", judged.problem.collision.nozzle
+    ok = rule.least >= -DIGITS
+    told, asked, where = far, need, ""
+    if not ok:
+        told, asked = rule, asked_at(judged, rule)
+        where = f", {_away(judged, rule) * 1e3:.1f} mm from the tip"
+    worst, at = min(FAR, told.least + asked), told.at if told.point >= 0 else -1
+    return Check(name, worst * 1e3, asked * 1e3, "mm", ok, _whose(judged, told) + where, least=True, sample=at)
+
+
+def asked_at(judged: Judged, rule: Nearness) -> float:
+    """The distance [m] that the rule for the tip asks for at the place where least of it is to spare."""
     need = judged.problem.collision.nozzle
-    worst = rule.least + need
-    pair = f"{judged.cell.head[rule.body].name} and {judged.body.name_of(rule.point)}"
-    where = EVERYWHERE if rule.point < 0 else f"{pair}, {place(judged.trajectory, rule.at)}"
-    ok = worst >= need - DIGITS
-    at = rule.at if rule.point >= 0 else -1
-    return Check("nozzle clear of part and print", worst * 1e3, need * 1e3, "mm", ok, where, least=True, sample=at)
+    if rule.point < 0:
+        return need
+    slack = slack_along(judged.problem, judged.toolpath, judged.trajectory)[rule.at]
+    return float(min(need, TIP_SLOPE * _away(judged, rule) - slack))
+
+
+def _away(judged: Judged, near: Nearness) -> float:
+    """Distance [m] of the nearest point from the tip."""
+    return float(np.linalg.norm(judged.body.tree.points[near.point] - judged.motion.tip[near.at]))
+
+
+def _whose(judged: Judged, near: Nearness) -> str:
+    """The place in words: which body, near what, and when."""
+    if near.point < 0:
+        return EVERYWHERE
+    pair = f"{judged.cell.head[near.body].name} and {judged.body.name_of(near.point)}"
+    return f"{pair}, {place(judged.trajectory, near.at)}"
 
 
 def _look(toolpath: Toolpath) -> float:

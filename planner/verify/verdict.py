@@ -41,6 +41,7 @@ from planner.verify.executed import executed_motion, straight_at, wrist_straight
 from planner.verify.input_normals import file_normals
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
+from planner.verify.pressed import pressed
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
@@ -96,6 +97,7 @@ def verify(
             _singularity(judged),
             _speed(judged),
             extrusion(judged),
+            pressed(judged),
             _tip_outside(judged),
         ]
         distances, approaches = keep_apart(judged, (near[0].result(), near[1].result()), apart.result())

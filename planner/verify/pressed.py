@@ -1,0 +1,302 @@
+"""How deep the nozzle presses into what it has laid: the verifier's own model of the print as it grows.
+
+Nothing of the planner's obstacles is used. Beads are laid anew by the tip as the joints have it: balls in rows across the
+bead's width, so dense that their tops are flat, each from the instant at which the tip passes. The nozzle is its outline,
+turned about its axis. Where it touches a bead beside it, the distance is 0; where it is lower, the bead is pressed flat, by
+the depth that is told. What the nozzle has just laid, and its face is still shaping, does not count.
+
+All is in the part frame, in metres; n counts samples, m balls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
+from planner.cell.bodies import nozzle_profile
+from planner.plan import Check
+from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
+
+_ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
+_APART = 0.25  # bead's heights between balls: their tops lie at most 0.016 heights beneath the bead's
+_OFTEN = 0.25  # bead's heights that the tip moves, or the nozzle's rim turns, from look to look
+_CELLS = 1.5  # cells of the grid on the way that the nozzle can touch beads on: more take longer, and so do fewer
+_MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
+LIMIT = 0.5  # of a bead's height, by which the nozzle may press into it: the rest still lies where it was laid
+
+
+class LaidBalls(NamedTuple):
+    """What is laid: balls (m) in the order of their cells' keys, cells (c) of a grid.
+
+    centre (m, 3), radius (m) [m]    of the balls
+    when (m)                         sample, and share of the way to the next, at which the tip passes
+    bead (m)                         which bead they are of
+    first (c + 1), key (c), since (c)   first ball of each cell, its key, and the first time in it
+    table (2^k)                      cell by its key: open addressing, -1 where there is none
+    low (3), wide (3), size          corner of the grid [m], cells along its sides, and a cell's side [m]
+    """
+
+    centre: Array
+    radius: Array
+    when: Array
+    bead: Ints
+    first: Ints
+    key: Ints
+    since: Array
+    table: Ints
+    low: Array
+    wide: Ints
+    size: float
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """The deepest overlap of nozzle and print: depth [m], at sample `at` in bead `bead`, `away` [m] from the tip; 0 and -1
+    where nothing overlaps."""
+
+    depth: float = 0.0
+    at: int = -1
+    bead: int = -1
+    away: float = 0.0
+
+
+def pressed(judged: Judged) -> Findings:
+    """The check of how deep the nozzle presses into beads printed before, as a share of their height."""
+    found, share, where = deepest(judged), 0.0, EVERYWHERE
+    if found.at >= 0:
+        share = found.depth / float(judged.toolpath.beads[found.bead].height.min())
+        where = f"{found.depth * 1e3:.3f} mm into bead {found.bead}, {found.away * 1e3:.1f} mm from the tip, "
+        where += place(judged.trajectory, found.at)
+    ok = share <= LIMIT * (1.0 + DIGITS)
+    check = Check("print pressed by the nozzle", share, LIMIT, "of a bead's height", ok, where, sample=found.at)
+    return Findings((check,), {"nozzle_pressed_max_mm": found.depth * 1e3})
+
+
+def deepest(judged: Judged) -> Pressed:
+    """The deepest overlap of the nozzle's outline with beads that were laid before."""
+    profile = np.array(nozzle_profile(judged.problem.cell.nozzle))
+    t, motion = judged.trajectory, judged.motion
+    laid = laid_beads(judged)
+    reach = float(profile[0, 1] + (laid.width + laid.height).max())
+    balls = _balls(laid, reach / _CELLS)
+    looks = _looks(motion.tip, motion.axis, _OFTEN * float(laid.height.min()), reach)
+    shaped = float(profile[0, 1] + laid.width.max())
+    depth, at, ball = _deepest(balls, motion.tip, motion.axis, t.bead, looks, profile, reach, shaped)
+    if ball < 0:
+        return Pressed()
+    away = float(np.linalg.norm(balls.centre[ball] - motion.tip[at]))
+    return Pressed(float(depth), int(at), int(balls.bead[ball]), away)
+
+
+class Laid(NamedTuple):
+    """Where beads are laid (k): tip and outward normal (k, 3), width and height [m], bead, and the sample (k), -1 for what is
+    there before all."""
+
+    tip: Array
+    normal: Array
+    width: Array
+    height: Array
+    bead: Ints
+    sample: Array
+
+
+def laid_beads(judged: Judged) -> Laid:
+    """What the motion lays, and before it the beads from which a print is resumed."""
+    t, beads = judged.trajectory, judged.toolpath.beads
+    at = np.flatnonzero(t.deposit)
+    ends = np.cumsum([bead.length + 1.0 for bead in beads])  # of beads on one line, 1 m from each other
+    starts = np.append(0.0, ends[:-1])
+    s = np.concatenate([bead.s + start for bead, start in zip(beads, starts, strict=True)])
+    before = beads[: t.first_bead]
+    number = np.repeat(np.arange(len(before)), [len(bead.s) for bead in before])
+    bead = np.concatenate([number, t.bead[at]]).astype(np.int64)
+    along = np.concatenate([*(bead.s for bead in before), t.s[at]]) + starts[bead]
+    tip = np.concatenate([*(bead.points for bead in before), judged.motion.tip[at]])
+    width, height, x, y, z = (
+        np.interp(along, s, values)
+        for values in (
+            *(np.concatenate([getattr(bead, name) for bead in beads]) for name in ("width", "height")),
+            *np.concatenate([bead.normals for bead in beads]).T,
+        )
+    )
+    normal = np.column_stack([x, y, z])
+    sample = np.concatenate([np.full(len(number), -1.0), at])
+    return Laid(tip, normal / np.linalg.norm(normal, axis=1)[:, None], width, height, bead, sample)
+
+
+def _balls(laid: Laid, size: float) -> LaidBalls:
+    """The balls of what is laid, in a grid whose cells have this size [m]."""
+    tip, normal, width, height, bead, sample = laid
+    same = np.diff(bead) == 0
+    apart = _APART * np.minimum(width, height)[1:]
+    covered = np.concatenate(
+        [[0.0], np.cumsum(np.where(same, np.linalg.norm(np.diff(tip, axis=0), axis=1) / apart, 1.0))]
+    )
+    starts = np.flatnonzero(np.append(True, ~same))
+    low, high = covered[starts], covered[np.append(starts[1:], len(tip)) - 1]
+    rows = np.floor(high - low).astype(np.int64) + 2
+    of, number = np.repeat(np.arange(len(rows)), rows), np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows)
+    at = np.minimum(low[of] + number, high[of])
+
+    def there(values: Array, at: Array = at) -> Array:
+        """Values (k) or (k, 3) of samples, at each row."""
+        columns = values.reshape(len(values), -1).T
+        return np.stack([np.interp(at, covered, column) for column in columns], axis=-1).reshape(-1, *values.shape[1:])
+
+    w, h, up = there(width), there(height), there(normal)
+    way = there(tip, np.minimum(at + 0.5, high[of])) - there(tip, np.maximum(at - 0.5, low[of]))
+    side = np.cross(up, way)
+    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-15)[:, None]
+    radius = 0.5 * np.minimum(w, h)
+    room = 0.5 * w - radius
+    across = np.ceil(room / (_APART * radius) - 1e-6).astype(np.int64) + 1
+    row, which = np.repeat(np.arange(len(at)), across), np.arange(across.sum())
+    which = which - np.repeat(np.cumsum(across) - across, across)
+    off = np.where(across[row] > 1, 2.0 * which / np.maximum(across[row] - 1, 1) - 1.0, 0.0) * room[row]
+    centre = (there(tip) - radius[:, None] * up)[row] + off[:, None] * side[row]
+    return _in_cells(centre, radius[row], there(sample)[row], bead[starts][of][row], size)
+
+
+def _in_cells(centre: Array, radius: Array, when: Array, bead: Ints, size: float) -> LaidBalls:
+    """Balls in the cells of a grid."""
+    low = centre.min(axis=0)
+    cell = np.floor((centre - low) / size).astype(np.int64)
+    wide = cell.max(axis=0) + 1
+    key = (cell[:, 0] * wide[1] + cell[:, 1]) * wide[2] + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    keys, first = np.unique(key[order], return_index=True)
+    since = np.minimum.reduceat(when[order], first)
+    bits = max(4, int(np.ceil(np.log2(4.0 * len(keys)))))
+    table = _table(keys, bits)
+    return LaidBalls(
+        centre[order], radius[order], when[order], bead[order], np.append(first, len(order)), keys, since,
+        table, low, wide, size,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _table(keys, bits):
+    """Numbers of cells by their keys (c): open addressing in 2^bits places."""
+    table = np.full(1 << bits, -1, dtype=np.int64)
+    last = (1 << bits) - 1
+    for k in range(len(keys)):
+        at = np.int64((np.uint64(keys[k]) * np.uint64(_MIXES)) >> np.uint64(64 - bits))
+        while table[at] >= 0:
+            at = (at + 1) & last
+        table[at] = k
+    return table
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _looks(tip, axis, often, reach):
+    """Samples at which the tip has moved, or the nozzle turned at its reach, by `often` [m] since the one before."""
+    out, count = np.empty(len(tip), np.int64), _ZERO
+    for i in range(len(tip)):
+        if count > 0:
+            k, moved, turned = out[count - 1], 0.0, 0.0
+            for x in range(3):
+                moved += (tip[i, x] - tip[k, x]) ** 2
+                turned += (axis[i, x] - axis[k, x]) ** 2
+            if np.sqrt(moved) + reach * np.sqrt(turned) < often:
+                continue
+        out[count] = i
+        count += 1
+    return out[:count].copy()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def outline_distance(profile, r, z):
+    """Signed distance [m] of a point at radius r and height z above the tip from the nozzle's outline (k, 2), which goes on
+    upwards for ever."""
+    inside = z > 0.0
+    best = np.inf
+    for k in range(-1, len(profile)):
+        az, ar = (profile[0, 0], 0.0) if k < 0 else (profile[k, 0], profile[k, 1])
+        if k + 1 < len(profile):
+            bz, br = profile[k + 1, 0], profile[k + 1, 1]
+        else:
+            bz, br = max(az, z) + 1.0, ar
+        uz, ur = bz - az, br - ar
+        length = uz * uz + ur * ur
+        share = 0.0 if length == 0.0 else min(max(((z - az) * uz + (r - ar) * ur) / length, 0.0), 1.0)
+        away = (z - az - share * uz) ** 2 + (r - ar - share * ur) ** 2
+        best = min(best, away)
+        if k >= 0 and az <= z < bz and r > ar + (z - az) / uz * ur:
+            inside = False
+    return -np.sqrt(best) if inside else np.sqrt(best)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _deepest(balls, tip, axis, bead, looks, profile, reach, shaped):
+    """The greatest overlap [m] of the nozzle with balls laid before, its sample and ball, or -1.
+
+    Only balls within `reach` [m] of the tip are looked at, and of the bead that is being laid none that was laid on the last
+    `shaped` [m] of its way.
+    """
+    centre, radius, when, whose = balls.centre, balls.radius, balls.when, balls.bead
+    first, since, key, table, low, wide, size = (
+        balls.first, balls.since, balls.key, balls.table, balls.low, balls.wide, balls.size,
+    )  # fmt: skip
+    last, bits = len(table) - 1, 0
+    while (1 << bits) < len(table):
+        bits += 1
+    thickest = radius.max()
+    span = 0.5 * np.sqrt(3.0) * size + thickest
+    best, where, which = 0.0, _ZERO - 1, _ZERO - 1
+    from_, to = np.empty(3, np.int64), np.empty(3, np.int64)
+    for j in looks:
+        p, a = tip[j], axis[j]
+        for x in range(3):
+            from_[x] = max(0, int(np.floor((p[x] - reach - low[x]) / size)))
+            to[x] = min(wide[x] - 1, int(np.floor((p[x] + reach - low[x]) / size)))
+        for cx in range(from_[0], to[0] + 1):
+            for cy in range(from_[1], to[1] + 1):
+                for cz in range(from_[2], to[2] + 1):
+                    vx = low[0] + (cx + 0.5) * size - p[0]
+                    vy = low[1] + (cy + 0.5) * size - p[1]
+                    vz = low[2] + (cz + 0.5) * size - p[2]
+                    z = -(vx * a[0] + vy * a[1] + vz * a[2])
+                    if z < -span:
+                        continue
+                    r = np.sqrt(max(vx * vx + vy * vy + vz * vz - z * z, 0.0))
+                    if outline_distance(profile, r, z) > span - best:
+                        continue
+                    k = (cx * wide[1] + cy) * wide[2] + cz
+                    at = np.int64((np.uint64(k) * np.uint64(_MIXES)) >> np.uint64(64 - bits))
+                    while table[at] >= 0 and key[table[at]] != k:
+                        at = (at + 1) & last
+                    c = table[at]
+                    if c < 0 or since[c] >= j:
+                        continue
+                    for i in range(first[c], first[c + 1]):
+                        if when[i] >= j:
+                            continue
+                        vx, vy, vz = centre[i, 0] - p[0], centre[i, 1] - p[1], centre[i, 2] - p[2]
+                        z = -(vx * a[0] + vy * a[1] + vz * a[2])
+                        if z < best - radius[i]:
+                            continue
+                        away = vx * vx + vy * vy + vz * vz
+                        if away > (reach + radius[i]) ** 2:
+                            continue
+                        depth = radius[i] - outline_distance(profile, np.sqrt(max(away - z * z, 0.0)), z)
+                        if depth > best and not (whose[i] == bead[j] and _still_shaped(when[i], j, shaped, tip)):
+                            best, where, which = depth, j, i
+    return best, where, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _still_shaped(when, j, shaped, tip):
+    """Whether the tip has come at most `shaped` [m] from where it was at an instant to sample j."""
+    gone = 0.0
+    for k in range(int(when), j):
+        step = 0.0
+        for x in range(3):
+            step += (tip[k + 1, x] - tip[k, x]) ** 2
+        gone += np.sqrt(step)
+        if gone > shaped:
+            return False
+    return True
