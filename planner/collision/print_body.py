@@ -147,7 +147,7 @@ _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
 _CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath its own
 _CHORD = 2e-3  # m that a picture's triangles may leave the true surface
 _ON = 1e-5  # m: as near is on the surface
-_PART = "part"
+PART = "part"
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     beads = toolpath.beads
     corners = _substrate(toolpath)
     surfaces = [(body.name, _corners(body)) for body in bodies]
-    surfaces += [(_PART, corners)] if corners is not None else []
+    surfaces += [(PART, corners)] if corners is not None else []
     tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
     pieces = [split(np.ascontiguousarray(triangles, dtype=float), _NEAR) for _, triangles in surfaces]
     near = [_is_near(each, tips) for each in pieces]
@@ -201,7 +201,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         time.append(np.full(len(at), FROM_THE_START))
     if corners is None and not beads[0].round:  # nothing is known to be beneath a strut
         first = [_rows(bead, 1.0)[0] for bead in toolpath.lowest]
-        names.append(_PART)
+        names.append(PART)
         points.append(np.concatenate(first))
         radius.append(np.zeros(len(points[-1])))
         time.append(np.full(len(points[-1]), FROM_THE_START))

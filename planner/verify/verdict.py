@@ -42,6 +42,7 @@ from planner.verify.input_normals import file_normals
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 from planner.verify.pressed import pressed
+from planner.verify.reread.printed import as_the_problem_says
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
@@ -93,6 +94,7 @@ def verify(
             _limits(judged),
             _geometry(judged),
             file_normals(judged),
+            as_the_problem_says(judged),
             _coverage(judged),
             _singularity(judged),
             _speed(judged),

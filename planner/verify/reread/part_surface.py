@@ -1,0 +1,135 @@
+"""The part's surface once more, from the problem: formulas of exact bodies, and files of facets by trimesh and coal.
+
+What is laid in layer k is to lie k + 1 layer heights above it. Lengths are metres, in the part frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array
+from planner.problem.part import UNITS, MeshSpec, PartSpec
+
+_STEPS = 60  # towards the foot of a perpendicular; each gains a factor of the height over the radius of curvature
+_CLOSE = 1e-9  # m
+
+Level = Callable[
+    [Array], tuple[Array, Array]
+]  # of points (n, 3): a function that is 0 on the surface, and its gradient (n, 3)
+
+
+def level_of(part: PartSpec) -> Level | None:
+    """A function that is 0 on an exact body's surface and grows outwards, with its gradient; None for files."""
+    if part.cylinder is not None:
+        x, y = part.cylinder.centre
+        return _round(part.cylinder.radius, np.array([x, y, 0.0]), np.array([1.0, 1.0, 0.0]))
+    if part.sphere is not None:
+        return _round(part.sphere.radius, np.asarray(part.sphere.centre), np.ones(3))
+    if part.ellipsoid is not None:
+        return _ellipsoid(np.asarray(part.ellipsoid.radii), np.asarray(part.ellipsoid.centre))
+    if part.plane is not None:
+        slope, rises = part.plane.slope, part.plane.rises
+        up = np.array([-np.sin(slope) * np.cos(rises), -np.sin(slope) * np.sin(rises), np.cos(slope)])
+        centre = np.asarray(part.plane.centre)
+        return lambda p: ((p - centre) @ up, np.broadcast_to(up, p.shape))
+    if part.corrugation is not None:
+        wave = part.corrugation
+        return _waves(wave.amplitude, wave.wavelength, wave.direction, np.asarray(wave.centre))
+    return None
+
+
+def _round(radius: float, centre: Array, along: Array) -> Level:
+    """A ball, or of a cylinder the wall, where `along` (3) leaves its axis out."""
+
+    def level(p: Array) -> tuple[Array, Array]:
+        away = (p - centre) * along
+        far = np.linalg.norm(away, axis=1)
+        return far - radius, away / np.maximum(far, _CLOSE)[:, None]
+
+    return level
+
+
+def _ellipsoid(radii: Array, centre: Array) -> Level:
+    def level(p: Array) -> tuple[Array, Array]:
+        share = (p - centre) / radii
+        far = np.linalg.norm(share, axis=1)
+        return far - 1.0, share / radii / np.maximum(far, _CLOSE)[:, None]
+
+    return level
+
+
+def _waves(amplitude: float, wavelength: float, direction: float, centre: Array) -> Level:
+    k, ahead = 2.0 * np.pi / wavelength, np.array([np.cos(direction), np.sin(direction)])
+
+    def level(p: Array) -> tuple[Array, Array]:
+        phase = k * ((p - centre)[:, :2] @ ahead)
+        slope = amplitude * k * np.sin(phase)
+        gradient = np.column_stack([slope * ahead[0], slope * ahead[1], np.ones(len(p))])
+        return p[:, 2] - centre[2] - amplitude * np.cos(phase), gradient
+
+    return level
+
+
+def feet(level: Level, tips: Array, rise: Array) -> tuple[Array, Array, Array]:
+    """Feet (n, 3) of tips (n, 3) that are `rise` (n) [m] above a surface along its normal, how far they are off it (n) [m],
+    and the outward unit normals (n, 3) there."""
+    foot = tips
+    for _ in range(_STEPS):
+        normal = _unit(level(foot)[1])
+        moved = tips - rise[:, None] * normal
+        done = np.abs(moved - foot).max(initial=0.0) < _CLOSE
+        foot = moved
+        if done:
+            break
+    value, gradient = level(foot)
+    return foot, value / np.linalg.norm(gradient, axis=1), _unit(gradient)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
+
+
+def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
+    """Distances (n) [m] of points (n, 3) from a file of facets, whichever side of them they lie on."""
+    stamp = spec.file.stat()
+    unit = None if spec.unit is None else UNITS[spec.unit]
+    return _distances(spec.file, unit, spec.scale, spec.rpy, spec.origin, stamp.st_mtime_ns, stamp.st_size)(points)
+
+
+@lru_cache(maxsize=2)
+def _distances(
+    path: Path, unit: float | None, scale: float, rpy: Array, origin: Array, changed: int, size: int
+) -> Callable[[Array], Array]:
+    """The function that measures distances from a file's facets; `changed` and `size` tell one file from another."""
+    import coal
+    import trimesh
+
+    mesh = trimesh.load(path, force="mesh", process=False)
+    if unit is None:
+        unit = UNITS.get({"inch": "in", "meter": "m"}.get(str(mesh.units), str(mesh.units)), 1.0)
+    turned = Rotation.from_euler("xyz", rpy).apply(np.asarray(mesh.vertices) * unit * scale * 1e-3) + np.asarray(origin)
+    model = coal.BVHModelOBBRSS()
+    vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in turned:
+        vertices.append(vertex)
+    for facet in np.asarray(mesh.faces).tolist():
+        facets.append(coal.Triangle(*facet))
+    model.beginModel(len(facets), len(vertices))
+    model.addSubModel(vertices, facets)
+    model.endModel()
+    dot, still = coal.Sphere(_CLOSE), coal.Transform3s()
+
+    def measure(points: Array) -> Array:
+        request, at = coal.DistanceRequest(), coal.Transform3s()
+        out = np.empty(len(points))
+        for i, point in enumerate(points):
+            at.setTranslation(point)
+            out[i] = coal.distance(model, still, dot, at, request, coal.DistanceResult())
+        return out
+
+    return measure

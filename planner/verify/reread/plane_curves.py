@@ -1,0 +1,236 @@
+"""Drawings, patterns and NURBS curves once more, as lines of the plane that curves are projected from.
+
+Files are read by other libraries' interpreters, patterns by the geometry of their cells, NURBS by de Boor's recursion:
+nothing here knows how the planner reads them. Lengths are metres; x to the right, y up, the middle at the origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.problem.drawings import CurveSpec, CurvesSpec, DxfSpec, PatternSpec, SvgSpec
+
+_STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
+_FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
+_SPANS, _PIECE = 200, 8  # chords between the knots of a NURBS curve, and at least of a drawing's spline
+_HIDDEN = ("<clippath", "<mask", ":clippath", ":mask")  # what svgelements does not cut by
+_INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
+_LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
+_UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
+_ROOM = 1e-9  # m: a cell that just fits, fits
+
+Curves = tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class NotRead:
+    """Why a source is not read again, in words."""
+
+    why: str
+
+
+def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> Curves | NotRead:
+    """Lines (n, 2) [m] of a source, chords within a hundredth of a millimetre of its curves."""
+    if isinstance(source, SvgSpec):
+        stamp = source.svg.stat()
+        return _svg(source.svg, source.width, stamp.st_mtime_ns, stamp.st_size)
+    if isinstance(source, DxfSpec):
+        stamp = source.dxf.stat()
+        return _dxf(source.dxf, source.width, source.unit, source.layers, stamp.st_mtime_ns, stamp.st_size)
+    if isinstance(source, PatternSpec):
+        return _PATTERNS[source.pattern](source)
+    return tuple(_nurbs(curve) for curve in source.curves)
+
+
+@lru_cache(maxsize=4)
+def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
+    """The visible outlines of a drawing by svgelements, `width` [m] wide; `changed` and `size` tell one file from another."""
+    text = path.read_bytes().lower()
+    if any(name.encode() in text for name in _HIDDEN):
+        return NotRead("the drawing has clip paths or masks")
+    from svgelements import SVG, Path as Outline, Shape
+
+    lines = []
+    for shape in SVG.parse(str(path), reify=True).elements():
+        if not isinstance(shape, Shape) or shape.values.get("visibility") in ("hidden", "collapse"):
+            continue
+        lines += [points for part in Outline(shape).as_subpaths() if len(points := _flat(part)) > 1]
+    return _as_wide(lines, width, np.array([1.0, -1.0]))
+
+
+def _flat(part: Sequence[object]) -> Array:
+    """Points (n, 2) along the segments of a subpath."""
+    from svgelements import Close, Line, Move
+
+    out: list[Array] = []
+    for segment in part:
+        if isinstance(segment, Move):
+            continue
+        if isinstance(segment, (Line, Close)):
+            ends = (segment.start, segment.end)
+            out.append(np.array([(p.x, p.y) for p in ends if p is not None], dtype=float))
+        else:
+            out.append(np.asarray(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)), dtype=float))  # type: ignore[attr-defined]
+    return np.concatenate(out) if out else np.zeros((0, 2))
+
+
+@lru_cache(maxsize=4)
+def _dxf(
+    path: Path, width: float | None, unit: str | None, names: tuple[str, ...] | None, changed: int, size: int
+) -> Curves | NotRead:
+    """The lines of a drawing by ezdxf's own paths, blocks taken apart; in its unit, or `width` [m] wide."""
+    from ezdxf import recover
+    from ezdxf.lldxf.const import DXFError
+
+    try:
+        document, _ = recover.readfile(path)
+        off = {layer.dxf.name.lower() for layer in document.layers if layer.is_off() or layer.is_frozen()}
+        wanted = None if names is None else {name.lower() for name in names}
+        lines = [
+            _along(entity)
+            for entity, layer in _entities(document.modelspace())
+            if (layer not in off if wanted is None else layer in wanted)
+        ]
+    except (DXFError, ArithmeticError, TypeError, ValueError) as error:
+        return NotRead(f"ezdxf makes no paths of the drawing: {error}")
+    if width is not None:
+        return _as_wide(lines, width, np.ones(2))
+    lines = [line for line in lines if len(line) > 1]
+    scale = _UNITS[unit] if unit is not None else _INSUNITS.get(document.header.get("$INSUNITS", 0), 1.0)
+    return _centred(lines, np.full(2, scale * 1e-3)) if lines else NotRead("the drawing has no lines")
+
+
+def _along(entity: Any) -> Array:
+    """Points (n, 2) along an entity: ezdxf's own path, but for splines, which it makes up of Bezier curves that are near."""
+    from ezdxf.path import make_path
+
+    if entity.dxftype() == "SPLINE":
+        size = float(np.ptp(np.array(entity.construction_tool().control_points)[:, :2], axis=0).max())
+        return np.array([(p.x, p.y) for p in entity.flattening(max(_FINE * size, 1e-12), _PIECE)])
+    path = make_path(entity)
+    if not len(path):
+        return np.zeros((0, 2))
+    size = float(np.ptp([(p.x, p.y) for p in path.control_vertices()], axis=0).max())
+    return np.array([(p.x, p.y) for p in path.flattening(max(_FINE * size, 1e-12))])
+
+
+def _entities(container: Iterable[Any], inherited: str | None = None) -> Iterator[tuple[Any, str]]:
+    """The entities that are lines, blocks taken apart, each with the layer that it is on."""
+    for entity in container:
+        layer = entity.dxf.layer.lower()
+        if layer == "0" and inherited is not None:
+            layer = inherited
+        if entity.dxftype() == "INSERT":
+            for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
+                yield from _entities(one.virtual_entities(), layer)
+        elif entity.dxftype() in _LINES:
+            yield entity, layer
+
+
+def _as_wide(lines: Sequence[Array], width: float, sense: Array) -> Curves | NotRead:
+    """Lines, so large that they are `width` [m] wide; sense (2) of their axes."""
+    lines = [line for line in lines if len(line) > 1]
+    if not lines:
+        return NotRead("the drawing has no lines")
+    wide = float(np.ptp(np.concatenate(lines)[:, 0]))
+    return _centred(lines, sense * width / wide) if wide > 0.0 else NotRead("the drawing has no width")
+
+
+def _centred(lines: Sequence[Array], scale: Array) -> Curves:
+    """Lines (n, 2) in metres, the middle of their box at the origin."""
+    every = np.concatenate(lines)
+    middle = 0.5 * (every.min(axis=0) + every.max(axis=0))
+    return tuple((line - middle) * scale for line in lines)
+
+
+def _inside(spec: PatternSpec, points: Array) -> Array:
+    """Whether points (..., 2) lie within the pattern's outline."""
+    share = points / (0.5 * np.asarray(spec.size) + _ROOM)
+    return np.asarray((share**2).sum(axis=-1) <= 1.0 if spec.outline == "ellipse" else (abs(share) <= 1.0).all(axis=-1))
+
+
+def _honeycomb(spec: PatternSpec) -> Curves:
+    """All walls of the regular hexagons that lie in the outline, a cell's middle at the origin."""
+    side = spec.cell / np.sqrt(3.0)
+    turns = np.radians(60.0 * np.arange(7))
+    hexagon = side * np.column_stack([np.cos(turns), np.sin(turns)])
+    most = int(max(spec.size) / side) + 2
+    a, b = (each.ravel() for each in np.meshgrid(np.arange(-most, most + 1), np.arange(-2 * most, 2 * most + 1)))
+    middle = np.column_stack([1.5 * side * a, spec.cell * (b + 0.5 * a)])
+    cells = middle[:, None] + hexagon
+    return tuple(cells[_inside(spec, cells).all(axis=1)])
+
+
+def _squares(spec: PatternSpec) -> Curves:
+    """All sides of the squares that lie in the outline."""
+    count = (np.asarray(spec.size) / spec.cell + _ROOM).astype(int)
+    x, y = np.meshgrid(*(spec.cell * (np.arange(n) - 0.5 * n) for n in count))
+    corner = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.0, 0.0]]) * spec.cell
+    cells = np.column_stack([x.ravel(), y.ravel()])[:, None] + corner
+    return tuple(cells[_inside(spec, cells).all(axis=1)])
+
+
+def _zigzag(spec: PatternSpec) -> Curves:
+    """Level lines, joined at alternate ends."""
+    rows = int(spec.size[1] / spec.cell + _ROOM) + 1
+    y = spec.cell * (np.arange(rows) - 0.5 * (rows - 1))
+    x = np.full(rows, 0.5 * spec.size[0])
+    if spec.outline == "ellipse":
+        x = x * np.sqrt(np.maximum(1.0 - (2.0 * y / spec.size[1]) ** 2, 0.0))
+    x, y = x[x >= 0.5 * spec.cell], y[x >= 0.5 * spec.cell]
+    way = np.where(np.arange(len(x)) % 2 == 0, x, -x)
+    return (np.column_stack([np.column_stack([-way, way]).ravel(), np.repeat(y, 2)]),)
+
+
+def _concentric(spec: PatternSpec) -> Curves:
+    """The outline, and inwards of it its likes, each a cell narrower to all sides."""
+    turns = np.linspace(0.0, 2.0 * np.pi, 4 * _STEPS + 1)
+    round_ = np.column_stack([np.cos(turns), np.sin(turns)])
+    square = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    one = round_ if spec.outline == "ellipse" else square
+    rings: list[Array] = []
+    while (half := 0.5 * np.asarray(spec.size) - len(rings) * spec.cell).min() >= 0.5 * spec.cell - _ROOM:
+        rings.append(one * half)
+    return tuple(rings)
+
+
+_PATTERNS: dict[str, Callable[[PatternSpec], Curves]] = {
+    "honeycomb": _honeycomb,
+    "squares": _squares,
+    "zigzag": _zigzag,
+    "concentric": _concentric,
+}
+
+
+def _nurbs(spec: CurveSpec) -> Array:
+    """Points (n, 2) of a rational B-spline curve, by de Boor's recursion in homogeneous coordinates."""
+    p, points = spec.degree, np.asarray(spec.points)
+    weights = np.ones(len(points)) if spec.weights is None else np.asarray(spec.weights)
+    if spec.knots is None:
+        knots = np.concatenate([np.zeros(p), np.linspace(0.0, 1.0, len(points) - p + 1), np.ones(p)])
+    else:
+        knots = np.asarray(spec.knots, dtype=float)
+    control = np.column_stack([points * weights[:, None], weights])
+    return np.concatenate(list(_spans(knots, control, p)))
+
+
+def _spans(knots: Array, control: Array, p: int) -> Iterator[Array]:
+    """Points of each span between different knots, both ends included; control (n, 3): weight times x and y, and weight."""
+    for k in range(p, len(control)):
+        if knots[k + 1] <= knots[k]:
+            continue
+        u = np.linspace(knots[k], knots[k + 1], _SPANS + 1)[:, None]
+        d = [np.broadcast_to(control[k - p + j], (len(u), 3)) for j in range(p + 1)]
+        for level in range(1, p + 1):
+            for j in range(p, level - 1, -1):
+                low, high = knots[k - p + j], knots[k + 1 + j - level]
+                share = (u - low) / (high - low)
+                d[j] = (1.0 - share) * d[j - 1] + share * d[j]
+        yield d[p][:, :2] / d[p][:, 2:]

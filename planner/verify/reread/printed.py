@@ -1,0 +1,257 @@
+"""What is printed, measured against the problem's files and figures instead of the toolpath that was made of them.
+
+The executed tip is brought down onto the part by the formulas of its surface and into the plane of the drawing, and both are
+compared both ways: nothing is printed that is not drawn, and no more of what is drawn is left out than may be. Beads have the
+measures of the problem, and obstacles are where part and print are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Flags, Ints
+from planner.collision.print_body import CLEARANCE, PART
+from planner.plan import Check
+from planner.problem.drawings import (
+    LayersSpec,
+    PatternSpec,
+    ProjectedLayersSpec,
+    WrappedDxfSpec,
+    WrappedLayersSpec,
+)
+from planner.problem.layers import FaceLayersSpec
+from planner.problem.part import PartSpec
+from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, check_most, place
+from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
+from planner.verify.reread.plane_curves import NotRead, read_again
+
+_APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
+_SEEN = 1500  # places of the whole print at which distances from facets are measured
+_CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
+_OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
+_FACETS = 0.5e-3  # m that beads may lie off facets, where the problem does not say how far
+_BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
+_AXIS = np.radians(0.05)  # beyond the nozzle's cone
+_SHORT = 0.005  # of the length, besides what may be left out: ends of pieces and rounded corners
+_BEAD = 1e-9  # m, rounding of widths and heights
+_STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
+_PIECE = 16  # chords of a line in the tree of lines
+
+
+@dataclass(frozen=True)
+class Places:
+    """Places of the executed motion (n) on beads: tip (n, 3), outward axis (n, 3), bead and layer, and the sample."""
+
+    tip: Array
+    up: Array
+    bead: Ints
+    layer: Ints
+    sample: Ints
+
+
+def as_the_problem_says(judged: Judged) -> Findings:
+    """All checks of what is printed against the problem itself."""
+    if not judged.trajectory.deposit.any():
+        return Findings()  # that nothing is laid is another check's
+    places = _places(judged)
+    checks = [*_measures(judged), *_on_the_part(judged, places), *_on_the_drawing(judged, places)]
+    return Findings((*checks, _obstacles(judged, places)))
+
+
+def _places(judged: Judged) -> Places:
+    """Samples of beads, no nearer to each other than need be."""
+    t, motion = judged.trajectory, judged.motion
+    at = np.flatnonzero(t.deposit)
+    step = np.floor(t.s[at] / _APART)
+    kept = np.ones(len(at), dtype=bool)
+    same = t.bead[at][1:] == t.bead[at][:-1]
+    kept[1:] = ~same | (step[1:] != step[:-1])
+    kept[:-1] |= ~same
+    kept[-1] = True
+    at = at[kept]
+    layers = np.array([bead.layer for bead in judged.toolpath.beads])
+    return Places(motion.tip[at], -motion.axis[at], t.bead[at], layers[t.bead[at]], at)
+
+
+def _measures(judged: Judged) -> Iterator[Check]:
+    """Beads are as wide and as high as the problem says, where it is the problem that does."""
+    layers, bead = judged.problem.layers, judged.problem.process.bead
+    if not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec, FaceLayersSpec)):
+        return
+    slanted = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"  # heights along the normal are less
+    worst, where = 0.0, EVERYWHERE
+    for i, each in enumerate(judged.toolpath.beads):
+        off = np.abs(each.width - bead.width)
+        if not slanted:
+            off = np.maximum(off, np.abs(each.height - bead.height))
+        if not (most := float(off.max())) <= worst:
+            worst, where = most, f"bead {i}"
+    yield Check("beads as wide and high as asked", worst * 1e3, _BEAD * 1e3, "mm", worst <= _BEAD, where)
+
+
+def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
+    """Layers lie above the part as high as they are to, and the nozzle stands on its surface."""
+    layers, part = judged.problem.layers, judged.problem.part
+    if part is None or not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec)):
+        return
+    rise, level = (places.layer + 1.0) * layers.height, level_of(part)
+    along_z = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"
+    if level is not None:
+        if along_z:
+            value, gradient = level(places.tip - rise[:, None] * [0.0, 0.0, 1.0])
+            size = np.linalg.norm(gradient, axis=1)
+            off, normal = value / size, gradient / size[:, None]
+        else:
+            _, off, normal = feet(level, places.tip, rise)
+        yield _worst(judged, places, "layers on the part", np.abs(off) * 1e3, _OFF_LEVEL * 1e3, "mm")
+        lean = np.arccos(np.clip((normal * places.up).sum(axis=1), -1.0, 1.0))
+        most = np.degrees(judged.problem.process.cones.tilt + _AXIS)
+        yield _worst(judged, places, "nozzle normal to the part", np.degrees(lean), most, "deg")
+    elif part.mesh is not None:
+        few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
+        height = rise[few]
+        if along_z:
+            off = distances_from_facets(part.mesh, places.tip[few] - height[:, None] * [0.0, 0.0, 1.0])
+        else:
+            off = np.abs(distances_from_facets(part.mesh, places.tip[few]) - height)
+        bound = (part.mesh.smooth or _FACETS) + _OFF_LEVEL
+        off = np.maximum(off - _BENT * height, 0.0)
+        yield _worst(judged, _some(places, few), "layers on the part", off * 1e3, bound * 1e3, "mm")
+
+
+def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
+    """Nothing is printed that is not drawn, and what is drawn is printed."""
+    layers, part, process = judged.problem.layers, judged.problem.part, judged.problem.process
+    if part is None or not isinstance(layers, (LayersSpec, WrappedDxfSpec, ProjectedLayersSpec)):
+        return
+    source = layers.source  # type: ignore[union-attr]
+    drawn = read_again(source)
+    if isinstance(drawn, NotRead):
+        yield Check("print on the drawing", 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
+        return
+    plane = _in_the_plane(judged, part, places)
+    lines = [line for line in drawn if len(line) > 1]
+    limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + _OFF_LEVEL
+    if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
+        limit += 0.5 * process.bead.width + process.corner_tolerance
+    off = _from_lines(lines, plane)
+    yield _worst(judged, places, "print on the drawing", off * 1e3, limit * 1e3, "mm")
+    yield _whole(judged, places, plane, lines, limit + _APART)
+
+
+def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
+    """Where tips lie in the plane of the drawing (n, 2) [m]."""
+    layers = judged.problem.layers
+    if not isinstance(layers, ProjectedLayersSpec):
+        cylinder = part.cylinder
+        if cylinder is None:
+            raise TypeError("only cylinders are wrapped around")
+        x, y, z = (places.tip - [*cylinder.centre, 0.5 * cylinder.height]).T
+        return np.column_stack([cylinder.radius * np.arctan2(y, x), z])
+    rise, level = (places.layer + 1.0) * layers.height, level_of(part)
+    if layers.offset == "z":
+        foot = places.tip
+    elif level is not None:
+        foot = feet(level, places.tip, rise)[0]
+    else:  # of files, the planner's own smooth surface says which way layers grow
+        foot = places.tip - rise[:, None] * judged.toolpath.surface.normals(places.tip)
+    c, s = np.cos(layers.turn), np.sin(layers.turn)
+    return (foot[:, :2] - np.asarray(layers.centre)) @ np.array([[c, -s], [s, c]])
+
+
+def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float) -> Check:
+    """The share of what is drawn that no bead of a layer comes near to, over all layers that are wholly printed."""
+    beads = judged.toolpath.beads
+    first = judged.trajectory.first_bead
+    begun = {bead.layer for bead in beads[:first]}
+    dots, weight = _dots(lines)
+    missed, all_, where, worst = 0.0, 0.0, EVERYWHERE, 0.0
+    count = judged.problem.layers.count  # type: ignore[union-attr]
+    for layer in range(count or 0):
+        if layer in begun:
+            continue
+        own = np.flatnonzero(places.layer == layer)
+        lost = np.ones(len(dots), dtype=bool)
+        if len(own) > 1:
+            pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
+            lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
+        share = float(weight[lost].sum())
+        missed, all_ = missed + share, all_ + float(weight.sum())
+        if share > worst:
+            worst, spot = share, dots[np.argmax(lost)] * 1e3
+            where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
+    share, limit = missed / max(all_, 1e-12), judged.problem.layers.source.crumbs + _SHORT  # type: ignore[union-attr]
+    return Check("drawing printed whole", share, limit, "of its length missing", share <= limit, where)
+
+
+def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:
+    """Places (n, 2) along lines, and the length (n) [m] that each stands for."""
+    dots, weight = [], []
+    for line in lines:
+        step = np.hypot(*np.diff(line, axis=0).T)
+        s = np.concatenate([[0.0], np.cumsum(step)])
+        count = max(2, int(np.ceil(s[-1] / _APART)))
+        at = (np.arange(count) + 0.5) * s[-1] / count
+        dots.append(np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)]))
+        weight.append(np.full(count, s[-1] / count))
+    return np.concatenate(dots), np.concatenate(weight)
+
+
+def _from_lines(lines: Sequence[Array], points: Array) -> Array:
+    """Distances (n) of points (n, 2) from the nearest of some lines."""
+    pieces = [line[i : i + _PIECE + 1] for line in lines for i in range(0, len(line) - 1, _PIECE)]
+    if not pieces:
+        return np.full(len(points), np.inf)
+    indices = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
+    tree = shapely.STRtree(shapely.linestrings(np.concatenate(pieces), indices=indices))
+    (asked, _), away = tree.query_nearest(shapely.points(points), return_distance=True, all_matches=False)
+    out = np.full(len(points), np.inf)
+    out[asked] = away
+    return out
+
+
+def _obstacles(judged: Judged, places: Places) -> Check:
+    """What is kept clear of is where beads are laid, and where the part is beneath the lowest layer."""
+    few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
+    some, beads, body = _some(places, few), judged.toolpath.beads, judged.body
+    width, height = (
+        np.array([float(getattr(b, name).max()) for b in beads])[some.bead] for name in ("width", "height")
+    )
+    thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
+    number = np.array([_bead_of(name) for name in body.names])[thing]
+    laid = number >= 0
+    off = np.full(len(few), np.inf)
+    if laid.any():
+        apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # beads are 1 m apart from each other
+        middle = some.tip - 0.5 * height[:, None] * some.up
+        off = apart.query(np.column_stack([middle, some.bead]))[0] - np.maximum(width, height)
+    part = np.array([name == PART for name in body.names])[thing]
+    lowest = some.layer == min(bead.layer for bead in beads)
+    if part.any() and lowest.any():
+        away, at = cKDTree(body.tree.points[part]).query(some.tip[lowest])
+        spread = np.sqrt((body.tree.radius[part][at] + CLEARANCE) ** 2 - CLEARANCE**2)
+        off[lowest] = np.maximum(off[lowest], away - height[lowest] - spread)
+    return _worst(judged, some, "obstacles where the print is", np.maximum(off, 0.0) * 1e3, _STRAY * 1e3, "mm")
+
+
+def _bead_of(name: str) -> int:
+    """The number of the bead that an obstacle is, by its name; -1 for others."""
+    head, _, tail = name.partition(" ")
+    return int(tail) if head == "bead" and tail.isdecimal() else -1
+
+
+def _some(places: Places, which: Ints | Flags) -> Places:
+    return Places(*(values[which] for values in vars(places).values()))
+
+
+def _worst(judged: Judged, places: Places, name: str, values: Array, limit: float, unit: str) -> Check:
+    """The check that no value (n) exceeds the limit, at the worst place. NaN fails."""
+    i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
+    worst, sample = float(values[i]), int(places.sample[i])
+    ok = bool(worst <= limit * (1.0 + DIGITS))
+    return Check(name, worst, float(limit), unit, ok, place(judged.trajectory, sample), sample=sample)
