@@ -55,7 +55,8 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
     text = path.read_bytes().lower()
     if any(name.encode() in text for name in _HIDDEN):
         return NotRead("the drawing has clip paths or masks")
-    from svgelements import SVG, Path as Outline, Shape
+    from svgelements import SVG, Shape
+    from svgelements import Path as Outline
 
     lines = []
     for shape in SVG.parse(str(path), reify=True).elements():

@@ -24,11 +24,12 @@ from planner.problem.drawings import (
     WrappedDxfSpec,
     WrappedLayersSpec,
 )
-from planner.problem.layers import FaceLayersSpec
+from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.part import PartSpec
-from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, check_most, place
+from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
 from planner.verify.reread.plane_curves import NotRead, read_again
+from planner.verify.reread.points import distances_from, dots_along, segments_of
 
 _APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
@@ -40,6 +41,9 @@ _AXIS = np.radians(0.05)  # beyond the nozzle's cone
 _SHORT = 0.005  # of the length, besides what may be left out: ends of pieces and rounded corners
 _BEAD = 1e-9  # m, rounding of widths and heights
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
+_DRAWN, _WHOLE = "print on the drawn path", "drawn path left out"
+_NEAREST = 3  # places of a file's path among whose pieces the nearest one is
+_MOST = 1_000_000  # places of a file's path
 _PIECE = 16  # chords of a line in the tree of lines
 
 
@@ -59,7 +63,12 @@ def as_the_problem_says(judged: Judged) -> Findings:
     if not judged.trajectory.deposit.any():
         return Findings()  # that nothing is laid is another check's
     places = _places(judged)
-    checks = [*_measures(judged), *_on_the_part(judged, places), *_on_the_drawing(judged, places)]
+    checks = [
+        *_measures(judged),
+        *_on_the_part(judged, places),
+        *_on_the_drawing(judged, places),
+        *_on_the_points(judged, places),
+    ]
     return Findings((*checks, _obstacles(judged, places)))
 
 
@@ -132,7 +141,7 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     source = layers.source  # type: ignore[union-attr]
     drawn = read_again(source)
     if isinstance(drawn, NotRead):
-        yield Check("print on the drawing", 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
+        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
         return
     plane = _in_the_plane(judged, part, places)
     lines = [line for line in drawn if len(line) > 1]
@@ -140,8 +149,37 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
     off = _from_lines(lines, plane)
-    yield _worst(judged, places, "print on the drawing", off * 1e3, limit * 1e3, "mm")
+    yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
     yield _whole(judged, places, plane, lines, limit + _APART)
+
+
+def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
+    """Nothing is printed but what a file of waypoints or G-code says, and all of that."""
+    layers, process = judged.problem.layers, judged.problem.process
+    if not isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec)):
+        return
+    found = segments_of(layers.source)
+    if isinstance(found, NotRead):
+        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {found.why}")
+        return
+    length = np.linalg.norm(found.end - found.start, axis=1)
+    dots, which = dots_along(found, max(_APART, float(length.sum()) / _MOST))
+    near = cKDTree(dots).query(places.tip, k=min(_NEAREST, len(dots)))[1].reshape(len(places.tip), -1)
+    off = distances_from(found, places.tip, [which[k] for k in near.T])
+    limit = process.corner_tolerance + _OFF_LEVEL
+    yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
+    some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
+    if found.needed is None or not found.needed.any() or some or judged.trajectory.first_bead:
+        return
+    wanted = found.needed[which]
+    dots, which = dots[wanted], which[wanted]
+    weight = length[which] / np.bincount(which)[which]
+    lost = cKDTree(places.tip).query(dots, distance_upper_bound=limit + _APART)[0] > limit + _APART
+    share, most = float(weight[lost].sum() / weight.sum()), layers.source.crumbs + _SHORT
+    where = EVERYWHERE
+    if lost.any():
+        where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
+    yield Check(_WHOLE, share, most, "of its length", share <= most, where)
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
@@ -186,7 +224,7 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
             worst, spot = share, dots[np.argmax(lost)] * 1e3
             where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
     share, limit = missed / max(all_, 1e-12), judged.problem.layers.source.crumbs + _SHORT  # type: ignore[union-attr]
-    return Check("drawing printed whole", share, limit, "of its length missing", share <= limit, where)
+    return Check(_WHOLE, share, limit, "of its length", share <= limit, where)
 
 
 def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:

@@ -1,0 +1,182 @@
+"""Files that say point by point what is printed, read once more: waypoints, and the extruding moves of planar G-code.
+
+Both are read in a few lines that know nothing of the planner's readers: numbers of a table, and a machine with a position,
+an extruder and their modes. Lengths are metres, in the part frame.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags
+from planner.problem.layers import GcodeSpec, WaypointsSpec
+from planner.verify.reread.plane_curves import NotRead
+
+_LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
+_ARC = 64  # chords of an arc
+_COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+_FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
+# Words in names of features, as slicers write them, by what may be left out; start code and purge lines always may.
+_LEFT_OUT = {
+    "purge": ("purge", "prime", "wipe", "custom"),
+    "skirt": ("skirt", "brim"),
+    "brim": ("skirt", "brim"),
+    "support": ("support",),
+    "ironing": ("ironing",),
+}
+
+
+class Segments(NamedTuple):
+    """Straight pieces from `start` (n, 3) to `end` (n, 3) [m], and which of them (n) must be printed; None where no name of
+    a feature says so."""
+
+    start: Array
+    end: Array
+    needed: Flags | None
+
+
+def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
+    """The pieces of a file's paths in the part frame."""
+    if isinstance(source, GcodeSpec):
+        stamp = source.gcode.stat()
+        found = _gcode(source.gcode, stamp.st_mtime_ns, stamp.st_size)
+        if isinstance(found, NotRead):
+            return found
+        start, end, names = found
+        shift = np.asarray(source.origin)
+        left = [word for share in ("purge", *source.leave_out) for word in _LEFT_OUT[share]]
+        needed = None
+        if any(names):
+            needed = np.array([bool(name) and not any(word in name for word in left) for name in names])
+        return Segments(start + shift, end + shift, needed)
+    stamp = source.waypoints.stat()
+    points = _table(source.waypoints, stamp.st_mtime_ns, stamp.st_size)
+    if isinstance(points, NotRead):
+        return points
+    x = points * (1e-3 if source.unit == "mm" else 1.0)
+    if source.up == "y":
+        x = np.column_stack([x[:, 0], -x[:, 2], x[:, 1]])
+    elif source.up == "x":
+        x = np.column_stack([x[:, 1], x[:, 2], x[:, 0]])
+    x = x + np.asarray(source.origin)
+    step = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    return Segments(x[:-1], x[1:], step <= _LONG * float(np.median(step)))
+
+
+@lru_cache(maxsize=2)
+def _table(path: Path, changed: int, size: int) -> Array | NotRead:
+    """The points (n, 3) of a file of waypoints, in its own unit and axes; `changed` and `size` tell one file from another."""
+    if path.suffix.lower() == ".npz":
+        with np.load(path, allow_pickle=False) as arrays:
+            return np.column_stack([np.asarray(arrays[name], dtype=float).ravel() for name in "xyz"])
+    rows: list[list[float]] = []
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    vertices = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
+    if vertices:
+        return np.array(vertices, dtype=float)
+    columns = [0, 1, 2]
+    for line in lines:
+        words = [word for word in re.split(r"[,;\s]+", line.strip(" \t#/%;")) if word]
+        found = {match[1].lower(): i for i, word in enumerate(words) if (match := _COLUMN.fullmatch(word.strip("\"'")))}
+        if len(found) == 3 and not rows:
+            columns = [found[name] for name in "xyz"]
+        elif line.strip() and line.strip()[0] not in "#/%;" and len(words) > max(columns):
+            try:
+                rows.append([float(words[i]) for i in columns])
+            except ValueError:
+                continue  # a title
+    return np.array(rows) if len(rows) > 1 else NotRead("no table of numbers is found in the file")
+
+
+@lru_cache(maxsize=1)
+def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str, ...]] | NotRead:
+    """Extruding moves: their ends (n, 3) [m], and the name of the feature that each is part of, in small letters."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    if not re.search(r"^\s*M8[23]\b", text, re.MULTILINE):
+        return NotRead("the file does not say whether E is relative")
+    at, e, unit = np.zeros(3), 0.0, 1.0
+    absolute, absolute_e, name = True, True, ""
+    starts, ends, names = [], [], []
+    for line in text.splitlines():
+        if match := _FEATURE.match(line):
+            name = match[1].strip().lower()
+        code, words = _words(line)
+        if code in ("G20", "G21"):
+            unit = 25.4 if code == "G20" else 1.0
+        elif code in ("G90", "G91"):
+            absolute = absolute_e = code == "G90"
+        elif code in ("M82", "M83"):
+            absolute_e = code == "M82"
+        elif code == "G92":
+            at = np.array([words.get(axis, now / unit) * unit for axis, now in zip("XYZ", at, strict=True)])
+            e = words.get("E", e)
+        elif code in ("G0", "G1", "G2", "G3"):
+            given = [axis in words for axis in "XYZ"]
+            target = np.array([words.get(axis, 0.0) * unit for axis in "XYZ"])
+            there = np.where(given, target if absolute else at + target, at)
+            fed = words.get("E", e if absolute_e else 0.0) - (e if absolute_e else 0.0)
+            e = e + fed
+            if (fed > 0.0 and np.abs(there - at)[:2].max() > 0.0) or (fed > 0.0 and code in ("G2", "G3")):
+                way = [at, there] if code in ("G0", "G1") else _arc(at, there, words, unit, code == "G2")
+                starts += way[:-1]
+                ends += way[1:]
+                names += [name] * (len(way) - 1)
+            at = there
+    if not starts:
+        return NotRead("no move of the file extrudes")
+    return np.array(starts) * 1e-3, np.array(ends) * 1e-3, tuple(names)
+
+
+def _words(line: str) -> tuple[str, dict[str, float]]:
+    """The code of a line, such as G1, and its words."""
+    plain = re.sub(r"\(.*?\)", "", line.partition(";")[0]).upper()
+    words = {letter: float(value) for letter, value in _WORD.findall(plain) if letter != "N"}
+    first = next((letter for letter in ("G", "M") if letter in words), "")
+    return (f"{first}{words[first]:g}" if first else ""), words
+
+
+def _arc(at: Array, there: Array, words: dict[str, float], unit: float, clockwise: bool) -> list[Array]:
+    """Places along an arc of G2 or G3, its centre given by I and J or its radius by R."""
+    if "R" in words:
+        half, r = 0.5 * (there - at)[:2], words["R"] * unit
+        up = np.sqrt(max(r * r - float(half @ half), 0.0)) * np.array([-half[1], half[0]]) / max(np.hypot(*half), 1e-12)
+        centre = at[:2] + half + (up if (r > 0.0) != clockwise else -up)
+    else:
+        centre = at[:2] + unit * np.array([words.get("I", 0.0), words.get("J", 0.0)])
+    begin, end = (np.arctan2(*(p[:2] - centre)[::-1]) for p in (at, there))
+    turn = (end - begin) % (2.0 * np.pi) or 2.0 * np.pi
+    turn = turn - 2.0 * np.pi if clockwise and turn < 2.0 * np.pi else (-turn if clockwise else turn)
+    share = np.linspace(0.0, 1.0, _ARC + 1)
+    radius = np.hypot(*(at[:2] - centre)) + share * (np.hypot(*(there[:2] - centre)) - np.hypot(*(at[:2] - centre)))
+    angle = begin + share * turn
+    places = np.column_stack(
+        [centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle), at[2] + share * (there - at)[2]]
+    )
+    return list(places)
+
+
+def dots_along(segments: Segments, apart: float) -> tuple[Array, Array]:
+    """Places (m, 3) along segments, `apart` [m] at most, and the segment (m) that each is on."""
+    length = np.linalg.norm(segments.end - segments.start, axis=1)
+    count = np.maximum(np.ceil(length / apart), 1.0).astype(np.int64)
+    which = np.repeat(np.arange(len(length)), count)
+    share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[which]
+    return segments.start[which] + share[:, None] * (segments.end - segments.start)[which], which
+
+
+def distances_from(segments: Segments, points: Array, near: Sequence[Array]) -> Array:
+    """Distances (n) of points (n, 3) from the nearest of some segments; near: candidates of each, arrays (n)."""
+    out = np.full(len(points), np.inf)
+    for k in near:
+        start, way = segments.start[k], segments.end[k] - segments.start[k]
+        share = ((points - start) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
+        foot = start + np.clip(share, 0.0, 1.0)[:, None] * way
+        out = np.minimum(out, np.linalg.norm(points - foot, axis=1))
+    return out
