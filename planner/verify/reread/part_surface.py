@@ -1,4 +1,4 @@
-"""The part's surface once more, from the problem: formulas of exact bodies, and files of facets by trimesh and coal.
+"""The part's surface once more, from the problem: formulas of exact bodies, and distances from facets by coal.
 
 What is laid in layer k is to lie k + 1 layer heights above it. Lengths are metres, in the part frame.
 """
@@ -6,14 +6,16 @@ What is laid in layer k is to lie k + 1 layer heights above it. Lengths are metr
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
-from pathlib import Path
+from functools import lru_cache, partial
 
+import coal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.problem.part import UNITS, MeshSpec, PartSpec
+from planner.base.errors import InputError
+from planner.problem.mesh_files import read_corners
+from planner.problem.part import MeshSpec, PartSpec
 
 _STEPS = 60  # towards the foot of a perpendicular; each gains a factor of the height over the radius of curvature
 _CLOSE = 1e-9  # m
@@ -97,39 +99,26 @@ def _unit(vectors: Array) -> Array:
 def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
     """Distances (n) [m] of points (n, 3) from a file of facets, whichever side of them they lie on."""
     stamp = spec.file.stat()
-    unit = None if spec.unit is None else UNITS[spec.unit]
-    return _distances(spec.file, unit, spec.scale, spec.rpy, spec.origin, stamp.st_mtime_ns, stamp.st_size)(points)
+    model = _facets(spec, stamp.st_mtime_ns, stamp.st_size)
+    dot, still, request, at = coal.Sphere(_CLOSE), coal.Transform3s(), coal.DistanceRequest(), coal.Transform3s()
+    out = np.empty(len(points))
+    for i, point in enumerate(points):
+        at.setTranslation(point)
+        out[i] = coal.distance(model, still, dot, at, request, coal.DistanceResult())
+    return out
 
 
 @lru_cache(maxsize=2)
-def _distances(
-    path: Path, unit: float | None, scale: float, rpy: Array, origin: Array, changed: int, size: int
-) -> Callable[[Array], Array]:
-    """The function that measures distances from a file's facets; `changed` and `size` tell one file from another."""
-    import coal
-    import trimesh
-
-    mesh = trimesh.load(path, force="mesh", process=False)
-    if unit is None:
-        unit = UNITS.get({"inch": "in", "meter": "m"}.get(str(mesh.units), str(mesh.units)), 1.0)
-    turned = Rotation.from_euler("xyz", rpy).apply(np.asarray(mesh.vertices) * unit * scale * 1e-3) + np.asarray(origin)
-    model = coal.BVHModelOBBRSS()
+def _facets(spec: MeshSpec, changed: int, size: int) -> coal.BVHModelOBBRSS:
+    """A file's facets in the part frame; `changed` and `size` tell one file from another."""
+    corners = read_corners(spec.file, partial(InputError, file=spec.file), spec.unit, spec.scale).reshape(-1, 3)
     vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in turned:
+    for vertex in Rotation.from_euler("xyz", spec.rpy).apply(np.array(corners)) + np.asarray(spec.origin):
         vertices.append(vertex)
-    for facet in np.asarray(mesh.faces).tolist():
-        facets.append(coal.Triangle(*facet))
+    for i in range(0, len(corners), 3):
+        facets.append(coal.Triangle(i, i + 1, i + 2))
+    model = coal.BVHModelOBBRSS()
     model.beginModel(len(facets), len(vertices))
     model.addSubModel(vertices, facets)
     model.endModel()
-    dot, still = coal.Sphere(_CLOSE), coal.Transform3s()
-
-    def measure(points: Array) -> Array:
-        request, at = coal.DistanceRequest(), coal.Transform3s()
-        out = np.empty(len(points))
-        for i, point in enumerate(points):
-            at.setTranslation(point)
-            out[i] = coal.distance(model, still, dot, at, request, coal.DistanceResult())
-        return out
-
-    return measure
+    return model

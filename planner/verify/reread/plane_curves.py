@@ -62,7 +62,7 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
     for shape in SVG.parse(str(path), reify=True).elements():
         if not isinstance(shape, Shape) or shape.values.get("visibility") in ("hidden", "collapse"):
             continue
-        lines += [points for part in Outline(shape).as_subpaths() if len(points := _flat(part)) > 1]
+        lines += [points for part in abs(Outline(shape)).as_subpaths() if len(points := _flat(part)) > 1]
     return _as_wide(lines, width, np.array([1.0, -1.0]))
 
 
@@ -78,7 +78,7 @@ def _flat(part: Sequence[object]) -> Array:
             ends = (segment.start, segment.end)
             out.append(np.array([(p.x, p.y) for p in ends if p is not None], dtype=float))
         else:
-            out.append(np.asarray(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)), dtype=float))  # type: ignore[attr-defined]
+            out.append(np.array(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)))  # type: ignore[attr-defined]
     return np.concatenate(out) if out else np.zeros((0, 2))
 
 

@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array, Flags, Ints
 from planner.problem.layers import GcodeSpec, WaypointsSpec
 from planner.verify.reread.plane_curves import NotRead
 
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
+_BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
 _ARC = 64  # chords of an arc
 _COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
@@ -34,12 +35,16 @@ _LEFT_OUT = {
 
 
 class Segments(NamedTuple):
-    """Straight pieces from `start` (n, 3) to `end` (n, 3) [m], and which of them (n) must be printed; None where no name of
-    a feature says so."""
+    """Straight pieces from `start` (n, 3) to `end` (n, 3) [m].
+
+    needed  which of them (n) must be printed; None where no name of a feature says so
+    bend    share of a piece's length by which a smooth curve through its ends may leave it
+    """
 
     start: Array
     end: Array
     needed: Flags | None
+    bend: float = 0.0
 
 
 def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
@@ -67,7 +72,7 @@ def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
         x = np.column_stack([x[:, 1], x[:, 2], x[:, 0]])
     x = x + np.asarray(source.origin)
     step = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    return Segments(x[:-1], x[1:], step <= _LONG * float(np.median(step)))
+    return Segments(x[:-1], x[1:], step <= _LONG * float(np.median(step)), _BEND)
 
 
 @lru_cache(maxsize=2)
@@ -84,7 +89,8 @@ def _table(path: Path, changed: int, size: int) -> Array | NotRead:
     columns = [0, 1, 2]
     for line in lines:
         words = [word for word in re.split(r"[,;\s]+", line.strip(" \t#/%;")) if word]
-        found = {match[1].lower(): i for i, word in enumerate(words) if (match := _COLUMN.fullmatch(word.strip("\"'")))}
+        heads = [word.strip(" \t#/%;\"'") for word in line.split(",")] if "," in line else words
+        found = {match[1].lower(): i for i, word in enumerate(heads) if (match := _COLUMN.fullmatch(word))}
         if len(found) == 3 and not rows:
             columns = [found[name] for name in "xyz"]
         elif line.strip() and line.strip()[0] not in "#/%;" and len(words) > max(columns):
@@ -103,7 +109,9 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
         return NotRead("the file does not say whether E is relative")
     at, e, unit = np.zeros(3), 0.0, 1.0
     absolute, absolute_e, name = True, True, ""
-    starts, ends, names = [], [], []
+    starts: list[Array] = []
+    ends: list[Array] = []
+    names: list[str] = []
     for line in text.splitlines():
         if match := _FEATURE.match(line):
             name = match[1].strip().lower()
@@ -162,21 +170,22 @@ def _arc(at: Array, there: Array, words: dict[str, float], unit: float, clockwis
     return list(places)
 
 
-def dots_along(segments: Segments, apart: float) -> tuple[Array, Array]:
+def dots_along(segments: Segments, apart: float) -> tuple[Array, Ints]:
     """Places (m, 3) along segments, `apart` [m] at most, and the segment (m) that each is on."""
     length = np.linalg.norm(segments.end - segments.start, axis=1)
     count = np.maximum(np.ceil(length / apart), 1.0).astype(np.int64)
-    which = np.repeat(np.arange(len(length)), count)
+    which = np.repeat(np.arange(len(length), dtype=np.int64), count)
     share = (np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count) + 0.5) / count[which]
     return segments.start[which] + share[:, None] * (segments.end - segments.start)[which], which
 
 
-def distances_from(segments: Segments, points: Array, near: Sequence[Array]) -> Array:
-    """Distances (n) of points (n, 3) from the nearest of some segments; near: candidates of each, arrays (n)."""
+def distances_from(segments: Segments, points: Array, near: Sequence[Ints]) -> Array:
+    """Distances (n) of points (n, 3) from the nearest of some segments, less what these may bend; near: candidates of each."""
     out = np.full(len(points), np.inf)
     for k in near:
         start, way = segments.start[k], segments.end[k] - segments.start[k]
         share = ((points - start) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
         foot = start + np.clip(share, 0.0, 1.0)[:, None] * way
-        out = np.minimum(out, np.linalg.norm(points - foot, axis=1))
+        away = np.linalg.norm(points - foot, axis=1) - segments.bend * np.linalg.norm(way, axis=1)
+        out = np.minimum(out, np.maximum(away, 0.0))
     return out

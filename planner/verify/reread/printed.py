@@ -34,14 +34,17 @@ from planner.verify.reread.points import distances_from, dots_along, segments_of
 _APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
+_LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
 _OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
 _FACETS = 0.5e-3  # m that beads may lie off facets, where the problem does not say how far
 _BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
 _AXIS = np.radians(0.05)  # beyond the nozzle's cone
-_SHORT = 0.005  # of the length, besides what may be left out: ends of pieces and rounded corners
+_SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
 _BEAD = 1e-9  # m, rounding of widths and heights
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
 _DRAWN, _WHOLE = "print on the drawn path", "drawn path left out"
+_FEET = 6  # steps from a tip to its foot on a smooth surface
+_LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
 _PIECE = 16  # chords of a line in the tree of lines
@@ -83,8 +86,8 @@ def _places(judged: Judged) -> Places:
     kept[:-1] |= ~same
     kept[-1] = True
     at = at[kept]
-    layers = np.array([bead.layer for bead in judged.toolpath.beads])
-    return Places(motion.tip[at], -motion.axis[at], t.bead[at], layers[t.bead[at]], at)
+    layers = np.array([bead.layer for bead in judged.toolpath.beads], dtype=np.int64)
+    return Places(motion.tip[at], -motion.axis[at], t.bead[at].astype(np.int64), layers[t.bead[at]], at)
 
 
 def _measures(judged: Judged) -> Iterator[Check]:
@@ -108,7 +111,8 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
     layers, part = judged.problem.layers, judged.problem.part
     if part is None or not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec)):
         return
-    rise, level = (places.layer + 1.0) * layers.height, level_of(part)
+    rise = np.asarray((places.layer + 1.0) * layers.height, dtype=float)
+    level = level_of(part)
     along_z = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"
     if level is not None:
         if along_z:
@@ -148,9 +152,11 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + _OFF_LEVEL
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
+    if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
+        limit += _BENT * layers.height * (layers.count - 1)
     off = _from_lines(lines, plane)
     yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
-    yield _whole(judged, places, plane, lines, limit + _APART)
+    yield _whole(judged, places, plane, lines, limit + _APART, layers.count)
 
 
 def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
@@ -166,16 +172,19 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     dots, which = dots_along(found, max(_APART, float(length.sum()) / _MOST))
     near = cKDTree(dots).query(places.tip, k=min(_NEAREST, len(dots)))[1].reshape(len(places.tip), -1)
     off = distances_from(found, places.tip, [which[k] for k in near.T])
-    limit = process.corner_tolerance + _OFF_LEVEL
+    limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + _OFF_LEVEL
     yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
     some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
     if found.needed is None or not found.needed.any() or some or judged.trajectory.first_bead:
         return
+    if found.bend > 0.0:  # only the waypoints themselves are sure to be passed
+        dots, which = found.start, np.arange(len(length))
+    weight = (length / np.bincount(which))[which]
     wanted = found.needed[which]
-    dots, which = dots[wanted], which[wanted]
-    weight = length[which] / np.bincount(which)[which]
-    lost = cKDTree(places.tip).query(dots, distance_upper_bound=limit + _APART)[0] > limit + _APART
-    share, most = float(weight[lost].sum() / weight.sum()), layers.source.crumbs + _SHORT
+    dots, weight = dots[wanted], weight[wanted]
+    sense = np.array([1.0, 1.0, 1.0 if found.bend > 0.0 else _LEVEL])
+    lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + _APART
+    share, most = float(weight[lost].sum() / weight.sum()), _may_be_left(judged, layers.source.crumbs)
     where = EVERYWHERE
     if lost.any():
         where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
@@ -191,40 +200,43 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
             raise TypeError("only cylinders are wrapped around")
         x, y, z = (places.tip - [*cylinder.centre, 0.5 * cylinder.height]).T
         return np.column_stack([cylinder.radius * np.arctan2(y, x), z])
-    rise, level = (places.layer + 1.0) * layers.height, level_of(part)
+    rise = np.asarray((places.layer + 1.0) * layers.height, dtype=float)
+    level = level_of(part)
     if layers.offset == "z":
         foot = places.tip
     elif level is not None:
         foot = feet(level, places.tip, rise)[0]
     else:  # of files, the planner's own smooth surface says which way layers grow
-        foot = places.tip - rise[:, None] * judged.toolpath.surface.normals(places.tip)
+        foot, surface = places.tip, judged.toolpath.surface.before(0)
+        for _ in range(_FEET):
+            foot = places.tip - rise[:, None] * surface.normals(foot)
     c, s = np.cos(layers.turn), np.sin(layers.turn)
     return (foot[:, :2] - np.asarray(layers.centre)) @ np.array([[c, -s], [s, c]])
 
 
-def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float) -> Check:
-    """The share of what is drawn that no bead of a layer comes near to, over all layers that are wholly printed."""
-    beads = judged.toolpath.beads
-    first = judged.trajectory.first_bead
-    begun = {bead.layer for bead in beads[:first]}
+def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float, count: int) -> Check:
+    """The share of what is drawn that no bead of a layer comes near to, in the worst of those that are wholly printed."""
+    begun = {bead.layer for bead in judged.toolpath.beads[: judged.trajectory.first_bead]}
     dots, weight = _dots(lines)
-    missed, all_, where, worst = 0.0, 0.0, EVERYWHERE, 0.0
-    count = judged.problem.layers.count  # type: ignore[union-attr]
-    for layer in range(count or 0):
+    where, worst = EVERYWHERE, 0.0
+    for layer in range(count):
         if layer in begun:
             continue
         own = np.flatnonzero(places.layer == layer)
-        lost = np.ones(len(dots), dtype=bool)
-        if len(own) > 1:
-            pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
-            lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
-        share = float(weight[lost].sum())
-        missed, all_ = missed + share, all_ + float(weight.sum())
+        pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
+        lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
+        share = float(weight[lost].sum() / weight.sum())
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
             where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
-    share, limit = missed / max(all_, 1e-12), judged.problem.layers.source.crumbs + _SHORT  # type: ignore[union-attr]
-    return Check(_WHOLE, share, limit, "of its length", share <= limit, where)
+    limit = _may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
+    return Check(_WHOLE, worst, limit, "of its length", worst <= limit, where)
+
+
+def _may_be_left(judged: Judged, crumbs: float) -> float:
+    """The share of the length that may be missing: next to nothing where nothing is told of it."""
+    told = judged.toolpath.left_out or judged.toolpath.notes
+    return (crumbs if told else 0.0) + _SHORT
 
 
 def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:
