@@ -78,7 +78,7 @@ def _flat(part: Sequence[object]) -> Array:
             ends = (segment.start, segment.end)
             out.append(np.array([(p.x, p.y) for p in ends if p is not None], dtype=float))
         else:
-            out.append(np.array(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)))  # type: ignore[attr-defined]
+            out.append(np.array(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)), dtype=np.float64))  # type: ignore[attr-defined]
     return np.concatenate(out) if out else np.zeros((0, 2))
 
 
