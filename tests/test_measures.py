@@ -15,9 +15,16 @@ from planner.export.tables import write_table
 from planner.plan.measures import CHECKS, COLUMNS, METRICS
 
 ROOT = Path(__file__).resolve().parents[1]
-FOUND_IN = sorted((ROOT / "planner" / "verify").glob("*.py"))
+FOUND_IN = sorted((ROOT / "planner" / "verify").rglob("*.py"))
 BY_LIMIT = ("velocity", "acceleration", "jerk")  # whose names the verifier puts together
-NAMES_A_CHECK = {"Check": 0, "_check": 0, "check_most": 1, "check_least": 1, "_share_check": 1}  # where its name stands
+NAMES_A_CHECK = {
+    "Check": 0,
+    "_check": 0,
+    "check_most": 1,
+    "check_least": 1,
+    "_share_check": 1,
+    "_worst": 2,
+}  # its name's place
 
 
 def constants() -> set[str]:

@@ -25,7 +25,7 @@ HEAVY = {
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"toolpath.step.reader", "toolpath.step.shapes"},
-    "trimesh": {"problem.mesh_files", "export.tables", "report.picture", "verify.reread"},
+    "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},
     "ruamel": {"problem"},

@@ -24,6 +24,8 @@ class Measure:
 
 
 ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
+ONLY_ON_PARTS = "curves are laid on a part"
+ONLY_REREAD = "the source is a drawing, a pattern, curves, waypoints or G-code"
 ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may turn the nozzle from its normals"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
@@ -358,6 +360,44 @@ CHECKS: dict[str, Measure] = {
         "see file_normal_max_deg; the limit is layers.source.smooth_normals_deg, 3 unless it is given, and what the nozzle may "
         "lean; where a corner is rounded, what normals differ there besides",
         ONLY_WAYPOINTS,
+    ),
+    "beads as wide and high as asked": Measure(
+        "mm",
+        "beads have the width and the height that the problem asks for",
+        "the toolpath's against process.bead; of layers along z the width alone",
+        ONLY_ON_PARTS,
+    ),
+    "layers on the part": Measure(
+        "mm",
+        "each layer lies as many layer heights above the part as it is to",
+        "executed tip, brought down along the normals of the part's own formula; of meshes its distance from the file's facets, "
+        "whose limit is part.mesh.smooth_mm, 0.5 unless it is given",
+        ONLY_ON_PARTS,
+    ),
+    "nozzle normal to the part": Measure(
+        "deg",
+        "the nozzle's axis is that of the part's normal, or within its cone",
+        "executed axis against the gradient of the part's own formula",
+        "the part is a body of a formula",
+    ),
+    "print on the drawn path": Measure(
+        "mm",
+        "nothing is printed that the problem's file does not say",
+        "executed tip, in the plane of the drawing, against the drawing, pattern or curves as the verifier reads them anew; of "
+        "waypoints and G-code in space; the limit is process.corner_tolerance_mm and what chords may be off",
+        ONLY_REREAD,
+    ),
+    "drawn path left out": Measure(
+        "of its length",
+        "what the problem's file says is printed, on each layer",
+        "share of the file's paths that no executed tip comes near to, in the worst layer; the limit is "
+        "layers.source.leave_out_share where a note tells what was left out, else 0.001",
+        ONLY_REREAD,
+    ),
+    "obstacles where the print is": Measure(
+        "mm",
+        "what bodies are kept clear of is where beads are laid, and where the part is",
+        "distance of executed tips from the nearest points of their beads and of the part, beyond what lies between",
     ),
     "nozzle tip outside the part": Measure(
         "mm", "the tip never enters the part as far as it is printed", "see tip_clearance_min_mm"

@@ -51,7 +51,16 @@ AT_HOME = 1e-6  # rad or m, by which the motion may start or end beside home
 RECORD_TOLERANCE = 1e-6  # m: what the trajectory says of its tip against what its joints do
 BLOCK = 32768  # samples
 # Checks that fail where a motion keeps to its path at the samples but not between them.
-ON_PATH = frozenset({"tip on the path", "axis on the normal", "nozzle to gravity", "layer to gravity"})
+ON_PATH = frozenset(
+    {
+        "tip on the path",
+        "axis on the normal",
+        "nozzle to gravity",
+        "layer to gravity",
+        "layers on the part",
+        "nozzle normal to the part",
+    }
+)
 
 
 @dataclass(frozen=True)

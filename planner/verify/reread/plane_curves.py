@@ -36,14 +36,22 @@ class NotRead:
     why: str
 
 
+def gone(error: OSError) -> NotRead:
+    """That a file which was planned from is not there any more, or cannot be read."""
+    return NotRead(f"{Path(error.filename or '').name}: {error.strerror}")
+
+
 def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> Curves | NotRead:
     """Lines (n, 2) [m] of a source, chords within a hundredth of a millimetre of its curves."""
-    if isinstance(source, SvgSpec):
-        stamp = source.svg.stat()
-        return _svg(source.svg, source.width, stamp.st_mtime_ns, stamp.st_size)
-    if isinstance(source, DxfSpec):
-        stamp = source.dxf.stat()
-        return _dxf(source.dxf, source.width, source.unit, source.layers, stamp.st_mtime_ns, stamp.st_size)
+    try:
+        if isinstance(source, SvgSpec):
+            stamp = source.svg.stat()
+            return _svg(source.svg, source.width, stamp.st_mtime_ns, stamp.st_size)
+        if isinstance(source, DxfSpec):
+            stamp = source.dxf.stat()
+            return _dxf(source.dxf, source.width, source.unit, source.layers, stamp.st_mtime_ns, stamp.st_size)
+    except OSError as error:
+        return gone(error)
     if isinstance(source, PatternSpec):
         return _PATTERNS[source.pattern](source)
     return tuple(_nurbs(curve) for curve in source.curves)

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.problem.layers import GcodeSpec, WaypointsSpec
-from planner.verify.reread.plane_curves import NotRead
+from planner.verify.reread.plane_curves import NotRead, gone
 
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
 _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
@@ -49,18 +49,29 @@ class Segments(NamedTuple):
 
 def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
     """The pieces of a file's paths in the part frame."""
-    if isinstance(source, GcodeSpec):
-        stamp = source.gcode.stat()
-        found = _gcode(source.gcode, stamp.st_mtime_ns, stamp.st_size)
-        if isinstance(found, NotRead):
-            return found
-        start, end, names = found
-        shift = np.asarray(source.origin)
-        left = [word for share in ("purge", *source.leave_out) for word in _LEFT_OUT[share]]
-        needed = None
-        if any(names):
-            needed = np.array([bool(name) and not any(word in name for word in left) for name in names])
-        return Segments(start + shift, end + shift, needed)
+    try:
+        return _moves(source) if isinstance(source, GcodeSpec) else _waypoints(source)
+    except OSError as error:
+        return gone(error)
+
+
+def _moves(source: GcodeSpec) -> Segments | NotRead:
+    """The moves of a file that extrude."""
+    stamp = source.gcode.stat()
+    found = _gcode(source.gcode, stamp.st_mtime_ns, stamp.st_size)
+    if isinstance(found, NotRead):
+        return found
+    start, end, names = found
+    shift = np.asarray(source.origin)
+    left = [word for share in ("purge", *source.leave_out) for word in _LEFT_OUT[share]]
+    needed = None
+    if any(names):
+        needed = np.array([bool(name) and not any(word in name for word in left) for name in names])
+    return Segments(start + shift, end + shift, needed)
+
+
+def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
+    """The steps from waypoint to waypoint."""
     stamp = source.waypoints.stat()
     points = _table(source.waypoints, stamp.st_mtime_ns, stamp.st_size)
     if isinstance(points, NotRead):
