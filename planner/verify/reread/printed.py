@@ -43,7 +43,6 @@ _SHORT = 0.001  # of the length, besides what may be left out: ends of pieces an
 _BEAD = 1e-9  # m, rounding of widths and heights
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
 _DRAWN, _WHOLE = "print on the drawn path", "drawn path left out"
-_FEET = 6  # steps from a tip to its foot on a smooth surface
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
@@ -153,7 +152,7 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
     if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
-        limit += _BENT * layers.height * (layers.count - 1)
+        limit += _BENT * layers.height * layers.count
     off = _from_lines(lines, plane)
     yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
     yield _whole(judged, places, plane, lines, limit + _APART, layers.count)
@@ -206,10 +205,13 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
         foot = places.tip
     elif level is not None:
         foot = feet(level, places.tip, rise)[0]
-    else:  # of files, the planner's own smooth surface says which way layers grow
-        foot, surface = places.tip, judged.toolpath.surface.before(0)
-        for _ in range(_FEET):
-            foot = places.tip - rise[:, None] * surface.normals(foot)
+    else:  # of files, the toolpath's own normals say which way layers grow
+        foot = np.empty_like(places.tip)
+        for bead in np.unique(places.bead).tolist():
+            own, laid = places.bead == bead, judged.toolpath.beads[bead]
+            at = judged.trajectory.s[places.sample[own]]
+            normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
+            foot[own] = places.tip[own] - rise[own, None] * normal
     c, s = np.cos(layers.turn), np.sin(layers.turn)
     return (foot[:, :2] - np.asarray(layers.centre)) @ np.array([[c, -s], [s, c]])
 
