@@ -38,7 +38,8 @@ from planner.verify.pressed import Laid, deepest, laid_beads
 PRINTS = (("cylinder_logo", "layers.count=2"), ("hemisphere_honeycomb",), ("naca0015_wing", "layers.count=34"))
 ROWS = 7  # of capsules across a bead
 SIDES = 128  # of the nozzle
-LOOKS = 400  # samples beside the worst
+LOOKS = 200  # samples beside the worst
+SEEN = 5e-3  # m beyond the tip's zone in which beads are looked at there
 
 
 class PrintOfCapsules:
@@ -67,6 +68,12 @@ class PrintOfCapsules:
         """Capsules of which a part may be within a distance [m] of the tip."""
         found: Sequence[int] = self.tree.query_ball_point(tip, within + self.longest)
         return found
+
+    def spheres(self, pieces: Array) -> tuple[Array, Array]:
+        """Middles (n, 3) and radii (n) of spheres at the ends and in the middle of the capsules of some pieces."""
+        shares = (0.0, 0.5, 1.0)
+        middles = [(1.0 - x) * low[pieces] + x * high[pieces] for low, high in self.ends for x in shares]
+        return np.concatenate(middles), np.tile(self.radius[pieces], len(middles))
 
     def capsules(self, k: int) -> Iterator[tuple[coal.Capsule, coal.Transform3s]]:
         """The capsules of piece k, across the bead."""
@@ -124,17 +131,16 @@ def pressed_by_coal(judged: Judged, looks: Sequence[int]) -> float:
     for j in looks:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = motion.rotation[j], motion.tip[j]
-        for k in print_.near(motion.tip[j], reach):
-            begun = print_.begins[k]
-            own = print_.bead[k] == t.bead[j] and far[j] - far[int(max(begun, 0))] <= shaped
-            if begun >= j - 1 or own:
+        near = np.array(print_.near(motion.tip[j], reach), dtype=np.int64)
+        begun = print_.begins[near]
+        gone = far[j] - far[np.maximum(begun, 0).astype(np.int64)]
+        near = near[(begun < j - 1) & ~((print_.bead[near] == t.bead[j]) & (gone <= shaped))]
+        for middle, radius in zip(*print_.spheres(near), strict=True):
+            away = middle - motion.tip[j]
+            if away @ away > reach**2 or -away @ motion.axis[j] < -radius:  # too far, or wholly beneath the face
                 continue
-            for capsule, pose in print_.capsules(k):
-                for share in (0.0, 0.5, 1.0):
-                    middle = pose.getTranslation() + (share - 0.5) * 2.0 * capsule.halfLength * pose.getRotation()[:, 2]
-                    if np.linalg.norm(middle - motion.tip[j]) <= reach:
-                        at = coal.Transform3s(np.eye(3), middle)
-                        deepest_ = max(deepest_, -apart(shapes, T, coal.Sphere(capsule.radius), at))
+            at = coal.Transform3s(np.eye(3), middle)
+            deepest_ = max(deepest_, -apart(shapes, T, coal.Sphere(radius), at))
     return deepest_
 
 
@@ -147,7 +153,7 @@ def beyond_by_coal(judged: Judged, looks: Sequence[int]) -> float:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = motion.rotation[j], motion.tip[j]
         zone = (spec.nozzle + slack[j]) / TIP_SLOPE
-        for k in print_.near(motion.tip[j], 25e-3):
+        for k in print_.near(motion.tip[j], zone + SEEN):
             if print_.begins[k] >= j - 1:
                 continue
             for capsule, pose in itertools.islice(print_.capsules(k), 0, None, ROWS // 2):
@@ -172,7 +178,7 @@ def row(plan: Plan) -> tuple[str, ...]:
     worst = [k for k in range(found.at - 20, found.at + 21) if found.at >= 0 and 0 <= k < n]
     near = [k for k in range(far.at - 2, far.at + 3) if 0 <= k < n]
     coal_deep = pressed_by_coal(judged, [*worst, *spread])
-    coal_near = beyond_by_coal(judged, [*near, *spread[:: LOOKS // 40]])
+    coal_near = beyond_by_coal(judged, [*near, *spread[:: LOOKS // 10]])
     asked = plan.problem.collision.nozzle
     of = judged.body.name_of(far.point) if far.point >= 0 else "-"
     figures = (found.depth, coal_deep, far.least + asked, coal_near)

@@ -207,9 +207,8 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
         foot = feet(level, places.tip, rise)[0]
     else:  # of files, the toolpath's own normals say which way layers grow
         foot = np.empty_like(places.tip)
-        for bead in np.unique(places.bead).tolist():
-            own, laid = places.bead == bead, judged.toolpath.beads[bead]
-            at = judged.trajectory.s[places.sample[own]]
+        for bead, own in _by(places.bead):
+            laid, at = judged.toolpath.beads[bead], judged.trajectory.s[places.sample[own]]
             normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
             foot[own] = places.tip[own] - rise[own, None] * normal
     c, s = np.cos(layers.turn), np.sin(layers.turn)
@@ -221,10 +220,11 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
     begun = {bead.layer for bead in judged.toolpath.beads[: judged.trajectory.first_bead]}
     dots, weight = _dots(lines)
     where, worst = EVERYWHERE, 0.0
+    printed = dict(_by(places.layer))
     for layer in range(count):
         if layer in begun:
             continue
-        own = np.flatnonzero(places.layer == layer)
+        own = printed.get(layer, np.zeros(0, dtype=np.int64))
         pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
         lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
         share = float(weight[lost].sum() / weight.sum())
@@ -295,6 +295,13 @@ def _bead_of(name: str) -> int:
     """The number of the bead that an obstacle is, by its name; -1 for others."""
     head, _, tail = name.partition(" ")
     return int(tail) if head == "bead" and tail.isdecimal() else -1
+
+
+def _by(number: Ints) -> Iterator[tuple[int, Ints]]:
+    """The numbers there are, and the places (k) of each."""
+    order = np.argsort(number, kind="stable")
+    found, first = np.unique(number[order], return_index=True)
+    yield from zip(found.tolist(), np.split(order, first[1:]), strict=True)
 
 
 def _some(places: Places, which: Ints | Flags) -> Places:
