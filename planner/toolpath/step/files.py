@@ -123,7 +123,10 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
     """
     name = spec.file.name
     check_step(spec.file, where)
-    request = {"file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3}
+    request = {
+        "file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3,
+        "parent": os.getpid(),
+    }  # fmt: skip
     answer = _answer(request, name, where)
     if "reason" in answer:
         raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
