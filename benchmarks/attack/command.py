@@ -40,7 +40,7 @@ from planner.base.processes import cores
 EXIT_ESCAPED = 1
 TABLE_WIDTH = 170  # columns, also where no terminal is
 HARMS = (BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER)
-SUBJECTS = ("programs",)  # modules that have KINDS
+SUBJECTS = ("problems", "programs")
 
 
 def kinds() -> dict[str, Kind]:
