@@ -40,7 +40,7 @@ from planner.base.processes import cores
 EXIT_ESCAPED = 1
 TABLE_WIDTH = 170  # columns, also where no terminal is
 HARMS = (BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER)
-SUBJECTS = ("problems", "programs")
+SUBJECTS = ("problems", "files", "programs")
 
 
 def kinds() -> dict[str, Kind]:
@@ -91,7 +91,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in chosen:
         if name not in known:
             near = nearest_name(name, known)
-            parser.error(f"there is no kind {name!r}" + (f": did you mean {near}?" if near else f": {', '.join(known)}"))
+            parser.error(
+                f"there is no kind {name!r}" + (f": did you mean {near}?" if near else f": {', '.join(known)}")
+            )
     done: list[Attack] = []
     began = time.monotonic()
     for name in chosen:

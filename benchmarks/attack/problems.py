@@ -19,7 +19,18 @@ from pathlib import Path
 from ruamel.yaml import YAML
 from ruamel.yaml.events import MappingEndEvent, MappingStartEvent, ScalarEvent, SequenceEndEvent, SequenceStartEvent
 
-from benchmarks.attack.cases import ACCEPTED, BUGS, ESCAPED, REFUSED, STOPPED, Case, Kind, Outcome, TimeLimit, time_limit
+from benchmarks.attack.cases import (
+    ACCEPTED,
+    BUGS,
+    ESCAPED,
+    REFUSED,
+    STOPPED,
+    Case,
+    Kind,
+    Outcome,
+    TimeLimit,
+    time_limit,
+)
 from benchmarks.attack.prints import NAME, ON_POSITIONER, write_print
 from planner.base.errors import InputError, PlannerError, Refusal
 from planner.base.shipped import PROBLEMS
@@ -31,7 +42,7 @@ from planner.problem.describe import lines_of
 COUNT = 1500
 OWN = 0.3  # of the cases spoil the small print, which is then solved
 BY_OPTION = 0.15  # of the values come by --set
-LONGEST_CHECK, LONGEST_SOLVE = 20.0, 20.0  # s
+LONGEST_CHECK, LONGEST_SOLVE = 60.0, 30.0  # s, on a busy machine
 LONGEST_MESSAGE = 2000  # characters
 
 # What may stand in the place of any value.
@@ -126,7 +137,11 @@ def misspelt(text: str, by: random.Random) -> str:
     value = _any(text, by, True)
     key = text[value.first : value.last]
     k = by.randrange(len(key))
-    return _put(text, value, by.choice([key.upper(), key[:k] + key[k + 1 :], key[:k] + "\u0435" + key[k + 1 :], key + "_", key + " "]))
+    return _put(
+        text,
+        value,
+        by.choice([key.upper(), key[:k] + key[k + 1 :], key[:k] + "\u0435" + key[k + 1 :], key + "_", key + " "]),
+    )
 
 
 def _lines(text: str, by: random.Random, change: Callable[[list[str], int, int], None]) -> str:
@@ -187,7 +202,30 @@ def cut(text: str, by: random.Random) -> str:
 
 def inserted(text: str, by: random.Random) -> str:
     k = by.randrange(len(text))
-    return text[:k] + by.choice(["\0", "\x1b[2J", "\u2028", "\ufeff", "\u200b", "\r", "\x85", "\x7f", "{", "[", '"', "'", "#", ":", "\t", "\ud800"]) + text[k:]
+    return (
+        text[:k]
+        + by.choice(
+            [
+                "\0",
+                "\x1b[2J",
+                "\u2028",
+                "\ufeff",
+                "\u200b",
+                "\r",
+                "\x85",
+                "\x7f",
+                "{",
+                "[",
+                '"',
+                "'",
+                "#",
+                ":",
+                "\t",
+                "\ud800",
+            ]
+        )
+        + text[k:]
+    )
 
 
 def character(text: str, by: random.Random) -> str:
@@ -245,7 +283,11 @@ def attack_problem(texts: dict[str, str], folder: Path, by: random.Random) -> Ou
         text = texts[name]
         whats = ["--set"]
         dotted = ".".join(_any(text, by, True).path)
-        settings = [by.choice([f"{dotted}={by.choice(TOKENS)}", f"{dotted}{by.choice(TOKENS)}", f"{dotted}.x=1", f".{dotted}=1"])]
+        settings = [
+            by.choice(
+                [f"{dotted}={by.choice(TOKENS)}", f"{dotted}{by.choice(TOKENS)}", f"{dotted}.x=1", f".{dotted}=1"]
+            )
+        ]
     path = folder / f"spoilt_{by.getrandbits(60):x}.yaml"
     written(text, path, by)
     try:

@@ -131,7 +131,9 @@ class Walk:
     @staticmethod
     def of(played: Played) -> Walk:
         """Of a program that was played."""
-        step = np.linalg.norm(np.diff(played.position, axis=0), axis=1) + LEVER * angle(played.quat[1:], played.quat[:-1])
+        step = np.linalg.norm(np.diff(played.position, axis=0), axis=1) + LEVER * angle(
+            played.quat[1:], played.quat[:-1]
+        )
         way = np.concatenate([[0.0], np.cumsum(step)])
         at = np.linspace(0.0, way[-1], PLACES)
         k = np.clip(np.searchsorted(way, at, side="right") - 1, 0, len(step) - 1)
@@ -196,6 +198,8 @@ def _prepared(language: str, folder: Path) -> Case:
 
 
 KINDS = {
-    name: Kind(f"lines and words of a {LANGUAGES[name].title} program", COUNT if name in ASKED else 0, partial(_prepared, name))
+    name: Kind(
+        f"lines and words of a {LANGUAGES[name].title} program", COUNT if name in ASKED else 0, partial(_prepared, name)
+    )
     for name in TEXTS
 }

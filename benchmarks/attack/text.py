@@ -10,7 +10,9 @@ NUMBER = re.compile(r"(?<![\w.])-?\d+\.\d+|(?<=[ T,\[(=:#])-?\d+(?=[,\]); :%\n]|
 SHOWN = 60  # characters of a line that is told
 
 Lines = list[str]
-Change = Callable[[Lines, list[int], random.Random], None]  # of lines; those that may be spoilt; changed where they stand
+Change = Callable[
+    [Lines, list[int], random.Random], None
+]  # of lines; those that may be spoilt; changed where they stand
 
 
 def _number(lines: Lines, own: list[int], by: random.Random, change: Callable[[float, str], str]) -> None:
