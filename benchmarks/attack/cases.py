@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import random
+import resource
 import signal
 import time
 import traceback
@@ -26,7 +27,8 @@ BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER = (
     "lost user files",
     "temporary files",
 )
-LONGEST = 120.0  # s: a case that takes longer has escaped, whatever it would have come to
+MOST_MEMORY = 6 << 30  # bytes of addresses: a MemoryError is an escape
+LONGEST = 150.0  # s: a case that takes longer has escaped, whatever it would have come to
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,13 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Attack:
-    """An attack of a kind by its number, and what came of it."""
+    """An attack of a kind by its number, what came of it, how long it took [s], and the most memory till then [MB]."""
 
     kind: str
     number: int
     outcome: Outcome
     seconds: float
+    memory: float
 
     @property
     def words(self) -> str:
@@ -115,8 +118,10 @@ def run(kind: str, case: Case, numbers: Sequence[int], seed: int, jobs: int) -> 
                 outcome = worker.answer() if worker.pipe in ready else worker.too_long()
                 if outcome is None:
                     continue
-                done.append(Attack(kind, worker.number, outcome, time.monotonic() - worker.began))
-                if left and worker.process.is_alive():
+                memory = worker.memory if worker.process.is_alive() else 0.0
+                done.append(Attack(kind, worker.number, outcome, time.monotonic() - worker.began, memory))
+                # what was stopped anywhere, such as in the middle of a compilation, is in no state to go on
+                if left and worker.process.is_alive() and outcome.verdict != STOPPED:
                     worker.ask(left.pop())
                 else:
                     worker.end()
@@ -135,6 +140,7 @@ class _Worker:
     pipe: Connection
     number: int = -1
     began: float = 0.0
+    memory: float = 0.0
 
     @staticmethod
     def started(kind: str, case: Case, seed: int) -> _Worker:
@@ -151,7 +157,8 @@ class _Worker:
 
     def answer(self) -> Outcome:
         try:
-            outcome: Outcome = self.pipe.recv()
+            outcome: Outcome
+            outcome, self.memory = self.pipe.recv()
             return outcome
         except EOFError:
             self.process.join()
@@ -174,6 +181,8 @@ class _Worker:
 
 def _work(pipe: Connection, kind: str, case: Case, seed: int) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     with contextlib.suppress(EOFError):
         while True:
-            pipe.send(one(case, kind, pipe.recv(), seed))
+            outcome = one(case, kind, pipe.recv(), seed)
+            pipe.send((outcome, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0))

@@ -40,7 +40,7 @@ from planner.base.processes import cores
 EXIT_ESCAPED = 1
 TABLE_WIDTH = 170  # columns, also where no terminal is
 HARMS = (BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER)
-SUBJECTS = ("problems", "files", "programs")
+SUBJECTS = ("problems", "files", "motions", "programs", "extruder")
 
 
 def kinds() -> dict[str, Kind]:
@@ -100,15 +100,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory(prefix="beadwise-attack-") as folder:
             case = known[name].prepare(Path(folder))
             if options.case is not None:
-                done.append(Attack(name, options.case, one(case, name, options.case, options.seed), 0.0))
+                done.append(Attack(name, options.case, one(case, name, options.case, options.seed), 0.0, 0.0))
             else:
                 count = known[name].count if options.count is None else options.count
                 done += run(name, case, range(count), options.seed, options.jobs)
         print(f"{name}: done after {time.monotonic() - began:.0f} s", file=sys.stderr)
     if options.csv is not None:
         with options.csv.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
-            rows = [(a.kind, a.number, a.outcome.what, a.outcome.verdict, a.outcome.told, a.seconds) for a in done]
-            csv.writer(stream).writerows([("kind", "number", "what", "verdict", "told", "seconds"), *rows])
+            rows = [(a.kind, a.number, a.outcome.what, a.outcome.verdict, a.outcome.told, a.seconds, a.memory) for a in done]
+            csv.writer(stream).writerows([("kind", "number", "what", "verdict", "told", "seconds", "MB"), *rows])
     Console(width=TABLE_WIDTH).print(table_of(done, f"seed {options.seed}, {time.monotonic() - began:.0f} s"))
     bad = [attack for attack in done if attack.outcome.verdict == ESCAPED or attack.outcome.harm]
     for attack in done if options.told or options.case is not None else bad:

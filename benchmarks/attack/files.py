@@ -101,7 +101,7 @@ def prism() -> tuple[Array, Ints]:
 def stl_text(corners: Array, triangles: Ints) -> bytes:
     facets = "".join(
         "facet normal 0 0 1\nouter loop\n"
-        + "".join("vertex %.4f %.4f %.4f\n" % tuple(corners[i]) for i in face)
+        + "".join("vertex {:.4f} {:.4f} {:.4f}\n".format(*corners[i]) for i in face)
         + "endloop\nendfacet\n"
         for face in triangles
     )
@@ -141,8 +141,8 @@ def off(corners: Array, triangles: Ints) -> bytes:
 
 
 def three_mf(corners: Array, triangles: Ints) -> bytes:
-    vertices = "".join('<vertex x="%g" y="%g" z="%g"/>' % tuple(p) for p in corners)
-    faces = "".join('<triangle v1="%d" v2="%d" v3="%d"/>' % tuple(f) for f in triangles)
+    vertices = "".join('<vertex x="{:g}" y="{:g}" z="{:g}"/>'.format(*p) for p in corners)
+    faces = "".join('<triangle v1="{}" v2="{}" v3="{}"/>'.format(*f) for f in triangles)
     model = (
         '<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" '
         'xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02"><resources><object id="1" type="model"><mesh>'
@@ -242,7 +242,7 @@ def inputs() -> dict[str, Input]:
         "STEP": Input("plate.step", (PROBLEMS / "curved_plate.step").read_bytes(), _layers(faces)),
         "waypoints": Input("cap.txt", waypoints("# x y z nx ny nz", " "), _layers(points.format("cap.txt"))),
         "waypoints CSV": Input("cap.csv", waypoints("x,y,z,nx,ny,nz", ","), _layers(points.format("cap.csv"))),
-        "G-code": Input("box.gcode", gcode(), _layers(flat)),
+        "G-code": Input("box.gcode", gcode(), _layers(flat, "")),
         "URDF": Input("irb140.urdf", urdf, drawn.replace("arm: irb140", "arm: own.yaml"), (Path("own.yaml"), Path("drawing.svg"))),
         "robot": Input("own.yaml", arm.encode(), drawn.replace("arm: irb140", "arm: own.yaml"), (Path("irb140.urdf"), Path("drawing.svg"))),
         "aerofoil": Input("wing.dat", (PROBLEMS / "naca0015_arigela.dat").read_bytes(), _layers(wing), whole=False),
