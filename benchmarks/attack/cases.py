@@ -20,9 +20,10 @@ FOUND, REFUSED, HARMLESS, ACCEPTED, ESCAPED = "found", "refused", "within tolera
 STOPPED = "stopped"  # a solve that was not waited for
 VERDICTS = (FOUND, REFUSED, HARMLESS, ACCEPTED, STOPPED, ESCAPED)
 # What else is counted, beside the verdicts: each of them must be nought.
-BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER = (
+BUGS, ORPHANS, ZOMBIES, LOST_RESULTS, LOST_FILES, LEFT_OVER = HARMS = (
     "exit 1",
     "orphans",
+    "zombies",
     "lost results",
     "lost user files",
     "temporary files",
@@ -57,7 +58,13 @@ class Attack:
         return f"{self.kind} {self.number}: {self.outcome.what}: {self.outcome.verdict}: {self.outcome.told}"
 
 
-Case = Callable[[random.Random], Outcome]
+class Chance(random.Random):
+    """The random numbers of one attack, and its number."""
+
+    number: int = 0
+
+
+Case = Callable[[Chance], Outcome]
 
 
 @dataclass(frozen=True)
@@ -97,7 +104,9 @@ def time_limit(seconds: float) -> Iterator[None]:
 def one(case: Case, kind: str, number: int, seed: int) -> Outcome:
     """An attack by its number: the same one, whichever others are run. An exception that nobody expects is a bug."""
     try:
-        return case(random.Random(f"{seed} {kind} {number}"))
+        by = Chance(f"{seed} {kind} {number}")
+        by.number = number
+        return case(by)
     except Exception as error:
         last = traceback.extract_tb(error.__traceback__)[-1]
         told = f"{type(error).__name__}: {error} ({Path(last.filename).name}:{last.lineno})"
@@ -172,15 +181,13 @@ class _Worker:
         return Outcome("a process", ESCAPED, f"no end in {LONGEST:.0f} s")
 
     def end(self) -> None:
-        with contextlib.suppress(OSError):
-            self.pipe.close()
-        self.process.join(5.0)
+        self.pipe.close()
         self.process.kill()
         self.process.join()
 
 
 def _work(pipe: Connection, kind: str, case: Case, seed: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, lambda number, frame: None)  # not ignored, which runs that are killed would inherit
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     with contextlib.suppress(EOFError):
         while True:

@@ -21,26 +21,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.attack.cases import (
-    BUGS,
-    ESCAPED,
-    LEFT_OVER,
-    LOST_FILES,
-    LOST_RESULTS,
-    ORPHANS,
-    VERDICTS,
-    Attack,
-    Kind,
-    one,
-    run,
-)
+from benchmarks.attack.cases import ESCAPED, HARMS, VERDICTS, Attack, Kind, one, run
 from planner.base.errors import EXIT_VERIFIED, nearest_name
 from planner.base.processes import cores
 
 EXIT_ESCAPED = 1
 TABLE_WIDTH = 170  # columns, also where no terminal is
-HARMS = (BUGS, ORPHANS, LOST_RESULTS, LOST_FILES, LEFT_OVER)
-SUBJECTS = ("problems", "files", "motions", "programs", "extruder")
+SUBJECTS = ("problems", "files", "motions", "programs", "extruder", "kills", "determinism")  # modules that have KINDS
 
 
 def kinds() -> dict[str, Kind]:
@@ -107,7 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"{name}: done after {time.monotonic() - began:.0f} s", file=sys.stderr)
     if options.csv is not None:
         with options.csv.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
-            rows = [(a.kind, a.number, a.outcome.what, a.outcome.verdict, a.outcome.told, a.seconds, a.memory) for a in done]
+            rows = [
+                (a.kind, a.number, a.outcome.what, a.outcome.verdict, a.outcome.told, a.seconds, a.memory) for a in done
+            ]
             csv.writer(stream).writerows([("kind", "number", "what", "verdict", "told", "seconds", "MB"), *rows])
     Console(width=TABLE_WIDTH).print(table_of(done, f"seed {options.seed}, {time.monotonic() - began:.0f} s"))
     bad = [attack for attack in done if attack.outcome.verdict == ESCAPED or attack.outcome.harm]

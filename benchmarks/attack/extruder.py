@@ -22,7 +22,8 @@ from planner.plan import Plan
 
 LINES = re.compile(r"^ *[GMT]\d")
 WORDS = (("E", "E-"), ("S1", "S0"), ("S0", "S1"), ("G1", "G0"), ("M83", "M82"), (" F", " E"), ("G4 P", "G4 S"))
-FILAMENT = 0.05  # mm that may have moved more or less
+LATE = 0.02  # s by which filament may move early or late, as a board that waits for the robot may
+ROUNDED = 0.002  # mm
 
 
 def attack_gcode(plan: Plan, text: str, by: random.Random) -> Outcome:
@@ -35,7 +36,12 @@ def attack_gcode(plan: Plan, text: str, by: random.Random) -> Outcome:
     if told:
         return Outcome(what, FOUND, "; ".join(told))
     off = fed_otherwise(text, spoilt)
-    return Outcome(what, ESCAPED if off > FILAMENT else HARMLESS, f"{off:.3g} mm" if off else "")
+    return Outcome(what, ESCAPED if off > LATE * fastest(text) + ROUNDED else HARMLESS, f"{off:.3g} mm" if off else "")
+
+
+def fastest(text: str) -> float:
+    """The greatest rate of a file [mm/s]."""
+    return max(float(rate) for rate in re.findall(r"^G1 E-?[\d.]+ F([\d.]+)", text, re.MULTILINE)) / 60.0
 
 
 def fed_otherwise(text: str, spoilt: str) -> float:

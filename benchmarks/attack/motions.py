@@ -146,7 +146,9 @@ def offset(plan: Plan, by: random.Random) -> tuple[str, Plan]:
 def noise(plan: Plan, by: random.Random) -> tuple[str, Plan]:
     """Joints that tremble."""
     size = 10.0 ** by.uniform(-8.0, -3.0)
-    return f"{size:.3g} rad", again(plan, plan.trajectory.q + size * _numbers(by).standard_normal(plan.trajectory.q.shape))
+    return f"{size:.3g} rad", again(
+        plan, plan.trajectory.q + size * _numbers(by).standard_normal(plan.trajectory.q.shape)
+    )
 
 
 def whole_turn(plan: Plan, by: random.Random) -> tuple[str, Plan]:
@@ -211,7 +213,11 @@ def more_material(plan: Plan, by: random.Random) -> tuple[str, Plan]:
     step = np.diff(t.extruded, prepend=0.0) * np.where(own, factor, 1.0)
     extruded = np.cumsum(step)
     per_volume = t.feed[-1] / t.extruded[-1]
-    changed = {"flow": t.flow * np.where(own, factor, 1.0), "extruded": extruded, "feed": t.feed + per_volume * (extruded - t.extruded)}
+    changed = {
+        "flow": t.flow * np.where(own, factor, 1.0),
+        "extruded": extruded,
+        "feed": t.feed + per_volume * (extruded - t.extruded),
+    }
     return f"x {factor:.4g} in {'all' if bead is None else f'bead {bead}'}", _with(plan, **changed)
 
 

@@ -311,7 +311,8 @@ def read(path: Path, settings: list[str], what: str, solved: bool, whole: bool =
                 if not told and found.cell is not None:
                     "\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer)).encode()
     except TimeLimit:
-        return Outcome(what, ESCAPED, f"check takes more than {LONGEST_CHECK:.0f} s")
+        verdict = STOPPED if whole else ESCAPED  # all beads may take long, and are only laid where they are asked for
+        return Outcome(what, verdict, f"check takes more than {LONGEST_CHECK:.0f} s")
     if told:
         bad = [wrong for error in told if (wrong := badly_told(error))]
         return Outcome(what, ESCAPED if bad else REFUSED, "; ".join(bad or map(str, told)))

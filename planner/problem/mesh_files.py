@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 import struct
 import warnings
@@ -245,6 +246,9 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
     """All bodies of a file as one mesh, in their places."""
     import trimesh
 
+    logging.getLogger("trimesh").addHandler(
+        logging.NullHandler()
+    )  # what it cannot read is told by us, without a traceback
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
