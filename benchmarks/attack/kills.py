@@ -48,7 +48,10 @@ SIGNALS = (signal.SIGTERM, signal.SIGINT, signal.SIGKILL)
 LONGER = 1.1  # the last moments are those after a run of usual length
 IN_THE_END = 0.4  # of the kills come in the last part of a run, where files are written and change places
 BY_COMMAND = 0.25  # of what a SIGKILL left is put right by a whole next run, else by one that comes to nothing
-JOBS = 0.2  # of the runs share their work with a second process
+# What runs are asked for: a small print; so many layers that the command starts processes of its own; work that is shared.
+RUNS = {"a run": (), "a run of ten layers": ("--set", "layers.count=10"), "a run with two jobs": ("--jobs", "2")}
+OLD = (f"{NAME}.yaml", "--out", OUT, "--quiet")
+NEW = (*OLD, "--set", "process.speed_mm_s=38")
 EDITED, NOTES, COPY = "Small.mod", "notes.txt", "Small_slower.mod"
 
 
@@ -58,10 +61,10 @@ class _NothingCameOfIt(Exception):
 
 @dataclass(frozen=True)
 class Setting:
-    """Old results in a folder, and how long [s] a run takes that makes new ones."""
+    """Old results in a folder, and how long [s] each of RUNS takes that makes new ones."""
 
     folder: Path
-    seconds: float
+    seconds: dict[str, float]
 
 
 def attack_run(given: Setting, by: random.Random) -> Outcome:
@@ -69,17 +72,15 @@ def attack_run(given: Setting, by: random.Random) -> Outcome:
     adopt()
     number = by.choice(SIGNALS)
     share = by.uniform(0.75, LONGER) if by.random() < IN_THE_END else by.uniform(0.0, LONGER)
-    jobs = ["--jobs", "2"] if by.random() < JOBS else []
+    asked = by.choice([*RUNS])
     own = given.folder.parent / f"{by.getrandbits(60):x}"
     shutil.copytree(given.folder, own)
     users = _edited(own / OUT)
     before = contents(own / OUT)
-    what = f"{number.name} after {share:.2f} of a run{' with two jobs' if jobs else ''}"
+    what = f"{number.name} after {share:.2f} of {asked}"
     try:
-        with started(
-            own, [f"{NAME}.yaml", "--out", OUT, "--quiet", "--set", "process.speed_mm_s=38", *jobs]
-        ) as process:
-            time.sleep(share * given.seconds)
+        with started(own, [*NEW, *RUNS[asked]]) as process:
+            time.sleep(share * given.seconds[asked])
             unnoticed = zombies(process.pid)
             family = len(children(process.pid))
             process.send_signal(number)
@@ -109,7 +110,7 @@ def _edited(out: Path) -> list[bytes]:
 def _put_right(own: Path, by: random.Random) -> None:
     """The next run: a whole one, or one that ends before it has results."""
     if by.random() < BY_COMMAND:
-        finished(own, [f"{NAME}.yaml", "--out", OUT, "--quiet"])
+        finished(own, OLD)
         return
     with contextlib.suppress(_NothingCameOfIt), results_folder(own / OUT, "solve", lambda told: None):
         raise _NothingCameOfIt
@@ -143,13 +144,15 @@ def prepared(folder: Path) -> Case:
     """Old results of the small print."""
     own = folder / "old"
     write_print(own, **ON_POSITIONER)
-    arguments = [f"{NAME}.yaml", "--out", OUT, "--quiet"]
-    code, said = finished(own, arguments)
-    began = time.monotonic()
-    code, said = finished(own, arguments)
-    seconds = time.monotonic() - began
-    if code or (wrong := whole(own / OUT)):
-        raise RuntimeError(f"the small print: exit code {code}, {said or wrong}")
+    seconds = {}
+    for asked, more in RUNS.items():
+        for _ in range(2):  # the first may have to compile what it runs
+            began = time.monotonic()
+            code, said = finished(own, [*NEW, *more])
+            seconds[asked] = time.monotonic() - began
+        if code or (wrong := whole(own / OUT)):
+            raise RuntimeError(f"{asked}: exit code {code}, {said or wrong}")
+    finished(own, OLD)
     return partial(attack_run, Setting(own, seconds))
 
 
