@@ -53,19 +53,19 @@ def test_no_problem_escapes(tmp_path: Path) -> None:
     (tmp_path / "peer_cap.txt").write_bytes((problems.PROBLEMS / "peer_cap.txt").read_bytes())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(problems, "solved_outcome", lambda problem, what: Outcome(what, ACCEPTED))
-        none_escapes(lambda by: problems.attack_problem(texts, tmp_path, by), "problems", 60)
+        none_escapes(lambda by: problems.attack_problem(texts, tmp_path, by), "problems", 30)
 
 
 def test_no_file_escapes(tmp_path: Path) -> None:
     known = {form: given for form, given in files.inputs().items() if form != "STEP"}
     for name in ("URDF", "robot", "SVG"):
         (tmp_path / known[name].name).write_bytes(known[name].data)
-    none_escapes(lambda by: files.attack_file(known, tmp_path, by), "files", 15)
+    none_escapes(lambda by: files.attack_file(known, tmp_path, by), "files", 8)
 
 
 def test_no_motion_escapes() -> None:
-    none_escapes(lambda by: motions.attack_motion(small_plan(), by), "motions", 3)
-    none_escapes(lambda by: motions.attack_plan(small_plan(), by), "plans", 3)
+    none_escapes(lambda by: motions.attack_motion(small_plan(), by), "motions", 2)
+    none_escapes(lambda by: motions.attack_plan(small_plan(), by), "plans", 2)
 
 
 @pytest.mark.parametrize("language", ["rapid", "krl", "fanuc"])
