@@ -267,3 +267,10 @@ def test_knots_that_are_none_are_refused(tmp_path: Path) -> None:
 def test_true_programs_are_not_told(language: str) -> None:
     plan = plans(language)
     assert LANGUAGES[language].differences(plan, LANGUAGES[language].write(plan)) == []
+
+
+def test_a_ply_that_calls_its_facets_otherwise_is_refused(tmp_path: Path) -> None:
+    """trimesh then looks at a name that it has given to nothing."""
+    data = files.inputs()["PLY"].data.replace(b"int vertex_indices", b"int corners")
+    outcome = read("PLY", tmp_path, data)
+    assert outcome.verdict == REFUSED and "block.ply" in outcome.told

@@ -37,7 +37,7 @@ _MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
 _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
 # What trimesh's readers raise at files that are none, or damaged.
 _UNREADABLE = (
-    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NotImplementedError, RuntimeError,
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError, NotImplementedError, RuntimeError,
     SyntaxError, TypeError, ValueError, Warning, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
