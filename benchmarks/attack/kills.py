@@ -81,7 +81,6 @@ def attack_run(given: Setting, by: random.Random) -> Outcome:
     try:
         with started(own, [*NEW, *RUNS[asked]]) as process:
             time.sleep(share * given.seconds[asked])
-            unnoticed = zombies(process.pid)
             family = len(children(process.pid))
             process.send_signal(number)
             try:
@@ -90,6 +89,7 @@ def attack_run(given: Setting, by: random.Random) -> Outcome:
                 process.kill()
         code = process.returncode
         left = orphans()
+        unnoticed = zombies(process.pid)
         if number is signal.SIGKILL:
             _put_right(own, by)
         return _judged(

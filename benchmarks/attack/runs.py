@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import json
 import os
@@ -71,15 +72,19 @@ def state(process: int) -> str:
         return ""
 
 
-def zombies(parent: int) -> int:
-    """How many children of a process have ended and are not taken notice of, and are so a moment later."""
-    before = [child for child in children(parent) if state(child) == "Z"]
-    time.sleep(0.1 if before else 0.0)
-    return sum(state(child) == "Z" for child in before)
+def zombies(session: int) -> int:
+    """How many processes of a run (its number is that of their session) have ended and nobody takes notice of; to be asked
+    when the run has ended, and what it left behind has been counted."""
+    found = 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            found += int(fields[3]) == session and fields[0] == "Z"
+    return found
 
 
 def orphans() -> int:
-    """How many adopted processes still run a while later; they are ended."""
+    """How many adopted processes still run a while later; they are ended. Those that end by themselves are taken notice of."""
     deadline = time.monotonic() + GRACE
     while True:
         for child in children(os.getpid()):
