@@ -274,3 +274,19 @@ def test_a_ply_that_calls_its_facets_otherwise_is_refused(tmp_path: Path) -> Non
     data = files.inputs()["PLY"].data.replace(b"int vertex_indices", b"int corners")
     outcome = read("PLY", tmp_path, data)
     assert outcome.verdict == REFUSED and "block.ply" in outcome.told
+
+
+def test_an_arc_that_leaves_the_hall_is_refused(tmp_path: Path) -> None:
+    """Its ends are near, and its chords would be 2 TiB."""
+    data = (
+        files.inputs()["G-code"]
+        .data.replace(b"I5 J5", b"I5 J2147483648")
+        .replace(b"X100 Y100 F6000", b"X100 Y-101 F6000")
+    )
+    outcome = read("G-code", tmp_path, data)
+    assert outcome.verdict == REFUSED and "the arc comes farther than 100 m" in outcome.told
+
+
+def test_a_body_that_nothing_fits_into_is_refused(tmp_path: Path) -> None:
+    outcome = read("OBJ", tmp_path, files.inputs()["OBJ"].data.replace(b"5.65685", b"0.00565685"))
+    assert outcome.verdict == REFUSED and "block.obj is narrower" in outcome.told
