@@ -481,6 +481,8 @@ def _joint_moves(plan: Plan, moves: Moves, script: Script) -> list[str]:
             found.append(f"acceleration of a {words} differs from {planned:.1f}")
     if not np.array_equal(script.program.circular[1:], moves.circular):
         return [*found, "moves are not of the planned kinds"]
+    if not np.array_equal(script.program.fine[1:], np.round(radii_of(plan, moves), LENGTH) == 0.0):
+        found.append("it stops elsewhere than planned")
     lines = stepped_speeds(moves, 10.0**-SPEED)[moves.linear]
     if len(lines) != np.count_nonzero(~joint) or np.abs(script.pace[~joint, 1] - lines).max() > 0.5 * 10.0**-SPEED:
         found.append("speeds of linear moves are not the planned ones")
