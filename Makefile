@@ -54,9 +54,9 @@ third-party: $(READY) $(THIRD)/.ready
 requirements: $(READY)
 	$(BIN)/pip freeze --exclude-editable > requirements.txt
 
-# Plans, programs and the extruder's G-code, spoilt at random: what is not found escapes.
+# Problems, files, motions, programs and runs, spoilt or killed at random: what is not found escapes.
 attack: $(READY)
-	$(BIN)/python -m benchmarks.attack --count 500
+	$(BIN)/python -m benchmarks.attack
 
 clean:
 	rm -rf .venv $(DOCS) $(PEERS) $(THIRD) $(FLOORS) out site

@@ -22,7 +22,7 @@ STARTED_BY_OTHERS = {
 }
 COARSE = ["--set", "resolve.rung_mm=10", "--set", "resolve.roll_step_deg=30", "--set", "resolve.knot_mm=5"]
 SMALLEST = {
-    "attack": ["--count", "8", *COARSE],
+    "attack": ["--only", "rapid", "gcode", "--count", "8", "--jobs", "1"],
     "bound": ["planar_gcode", *COARSE],
     "collision": ["peer_cap"],
     "collision_cost": ["peer_cap", *COARSE],

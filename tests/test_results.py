@@ -285,11 +285,8 @@ def test_a_folder_in_the_way_changes_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "report.html").read_text() == "1"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="read-only folders and /proc as on Linux")
-def test_a_process_in_the_background_ends_with_its_parent(tmp_path: Path) -> None:
-    """However the parent ends, and although its child would have sent more than the pipe between them holds."""
-    script = """
-import os, sys, time
+BACKGROUND = """
+import os, time
 from pathlib import Path
 from planner.base.processes import in_background
 
@@ -300,7 +297,36 @@ def work():
 with in_background(work) as wait:
     wait()
 """
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+READS_STEP = """
+from pathlib import Path
+from planner.problem.part import StepSpec
+from planner.toolpath.step import files
+
+files._READER = "held_up"
+spec = StepSpec.model_construct(file=Path("a.step"), faces="all", sew=0.0, rpy=(0, 0, 0), origin=(0, 0, 0), normals="outward")
+files.read_step(spec, 1e-3, lambda *told, **more: RuntimeError(told))
+"""
+HELD_UP_READER = """
+import os, time
+from pathlib import Path
+from planner.toolpath.step import reader
+
+def read(request):
+    Path("child").write_text(str(os.getpid()))
+    time.sleep(60.0)
+
+reader.read = read
+reader.main()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="signals at a parent's death, and /proc, as on Linux")
+@pytest.mark.parametrize("script", [BACKGROUND, pytest.param(READS_STEP, marks=pytest.mark.slow)], ids=["fork", "STEP"])
+def test_a_process_beside_ends_with_its_parent(script: str, tmp_path: Path) -> None:
+    """However the parent ends, and although its child would have sent more than the pipe between them holds."""
+    (tmp_path / "held_up.py").write_text(HELD_UP_READER)
+    (tmp_path / "a.step").write_text("ISO-10303-21;\nEND-ISO-10303-21;\n")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(tmp_path)])}
     with subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, env=environment) as process:
         until = time.monotonic() + 60.0
         while not (tmp_path / "child").is_file() or not (tmp_path / "child").read_text():

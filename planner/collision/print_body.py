@@ -16,6 +16,7 @@ from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.robot import bodies_with_tip
 from planner.cell.solids import Body, triangles_of
 from planner.collision.point_tree import FROM_THE_START, PointTree, point_tree
+from planner.collision.slivers import without_slivers
 from planner.problem.cell import NozzleSpec
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -187,7 +188,9 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     surfaces = [(body.name, _corners(body)) for body in bodies]
     surfaces += [(PART, corners)] if corners is not None else []
     tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
-    pieces = [split(np.ascontiguousarray(triangles, dtype=float), _NEAR) for _, triangles in surfaces]
+    pieces = [
+        split(without_slivers(np.ascontiguousarray(triangles, dtype=float), _NEAR), _NEAR) for _, triangles in surfaces
+    ]
     near = [_is_near(each, tips) for each in pieces]
     sides = _sides(pieces, near)
     names, points, radius, time = [], [], [], []

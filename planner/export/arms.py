@@ -10,11 +10,11 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
-from planner.export.fit import from_matrix, to_matrix
+from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.moves import Moves, blend_differences, greatest_until_stop, move_radii
 from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, named
 from planner.export.readback import filled, played_differences
-from planner.export.support import output_numbers
+from planner.export.support import off_differences, output_numbers
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -126,7 +126,7 @@ class ProgramStep:
     speed         of the tip [m/s] of a line; percent of a joint move
     zone          of the blend at its end [m]; NaN where the language does not say it
     branch        of a line, or UNSPECIFIED
-    via           x y z [m] (3) of an arc, on its way
+    via           of an arc, a pose on its way, as the target of a line
     """
 
     linear: bool
@@ -170,12 +170,14 @@ class ArmProgram:
     """A program (m moves) that was read: axes as the maker counts them, frames from the maker's flange and base.
 
     axes, share  (m, 6) [rad] and (m) [percent] of joint moves; NaN for others
+    via_quat     (m, 4) orientations on the way of arcs; NaN for others
     off          outputs that are switched off before the first move, and behind the last one
     """
 
     program: RobotProgram
     axes: Array
     share: Array
+    via_quat: Array
     off: tuple[frozenset[str], frozenset[str]]
 
 
@@ -218,7 +220,7 @@ def read_arm(
     fine: Flags = np.array([move.fine for move in moves], dtype=bool)
     conf: Indices = np.full((m, 4), UNSPECIFIED, dtype=np.intp)
     conf[:, 3] = [move.branch for move in moves]
-    arcs = np.array([np.full(3, np.nan) if move.via is None else move.via for move in moves])
+    vias = np.array([np.full(7, np.nan) if move.via is None else move.via for move in moves])
     triggers = switch_triggers(steps.switched, m)
     for at, group in steps.triggers.items():
         triggers[at] = (*triggers.get(at, ()), *group)
@@ -239,16 +241,18 @@ def read_arm(
         speed=np.column_stack([np.where(linear, speed, np.nan), np.full((m, 3), np.nan)]),
         wait=np.array([steps.waits.get(i, 0.0) for i in range(m)]),
         triggers=triggers,
-        arcs=None if np.isnan(arcs).all() else arcs,
+        arcs=None if np.isnan(vias).all() else vias[:, :3],
     )
     first, last = (
         frozenset(output for at, output, value in steps.switched if at == k and not value) for k in (-1, m - 1)
     )
-    return ArmProgram(program, axes, np.where(linear, np.nan, speed), (first, last))
+    return ArmProgram(program, axes, np.where(linear, np.nan, speed), vias[:, 3:], (first, last))
 
 
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan.
+
+ROUNDED_TURN = 2e-4  # rad by which three angles of three digits in degrees may turn an orientation, and more
 
 
 def arm_differences(
@@ -285,14 +289,14 @@ def arm_differences(
         found.append("speeds of axes are not the planned ones")
     if np.abs(program.speed[linear, 0] - speeds[moves.linear]).max() > 1e-9:
         found.append("speeds of lines are not the planned ones")
-    if not np.array_equal(program.fine[1:], radii[1:] == 0.0):
+    if not np.array_equal(program.fine, radii == 0.0):
         found.append("it stops elsewhere than planned")
+    on_way = angle(read.via_quat[circular], moves.via.quat[moves.circular]).max(initial=0.0)
+    if not on_way <= ROUNDED_TURN:
+        found.append(f"orientations on the way of arcs differ by {on_way:.3g} rad")
     if zones is not None and np.abs(program.zone[1:] - zones).max() > 1e-9:
         found.append("blends are not the planned ones")
-    outputs = frozenset(map(str, output_numbers(plan.problem).values()))
-    if read.off != (outputs, outputs):
-        found.append("other outputs than the extruders' are switched off at the start, or at the end")
-    return found
+    return [*found, *off_differences(plan, read.off)]
 
 
 def arm_program(plan: Plan, moves: Moves, read: ArmProgram, convention: Convention, rounding: float) -> RobotProgram:

@@ -305,7 +305,8 @@ Position = tuple[str, ...]  # of a pose: CONFIG's letters, its turns, and six nu
 
 
 def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
-    """Program of the texts of files by their programs' names, and the CONFIG of its lines, in their order.
+    """Program of the texts of files by their programs' names, and the CONFIG of its lines and of both points of its
+    arcs, in their order.
 
     Raises InputError with the line for a statement or position that is not known, or that stands where it must not.
     """
@@ -326,7 +327,7 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
                 raise statement.error(f"P[{'] or P['.join(keys)}] is not there, or of the other kind")
             how = parts[len(keys) :]
             steps.moves.append(_step(word, how, there))
-            said += [] if word == "point" else [f"{there[-1][0]}, {', '.join(there[-1][1:4])}"]
+            said += [] if word == "point" else [_config(place) for place in there]
             if word != "point" and how[2]:
                 steps.trigger(0.0, how[3] == "ON", how[2])
         elif word == "output":
@@ -355,8 +356,12 @@ def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> ProgramS
     numbers, fine = [float(value) for value in place[-6:]], how[1] == FINE
     if word == "point":
         return ProgramStep(False, fine, np.radians(numbers), float(how[0]))
-    via = np.array([float(value) for value in places[0][-6:-3]]) * 1e-3 if word == "arc" else None
+    via = _pose([float(value) for value in places[0][-6:]]) if word == "arc" else None
     return ProgramStep(True, fine, _pose(numbers), float(how[0]) / CM_MIN, branch=branch_of(place[0]), via=via)
+
+
+def _config(place: Position) -> str:
+    return f"{place[0]}, {', '.join(place[1:4])}"
 
 
 def _pose(values: list[float]) -> Array:
@@ -416,6 +421,12 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     read, said = read_fanuc(texts, fanuc_name(plan.name), plan)
     moves = plan_moves(plan, arcs=True)
     found = arm_differences(plan, moves, read, FANUC, np.radians(0.51 * 10.0**-DIGITS), planned_speeds(moves), TICK)
-    planned = [each for each, linear in zip(configs(plan, moves), moves.linear.tolist(), strict=True) if linear]
-    wrong = sum(a != b for a, b in zip(said, planned, strict=False))
+    planned = [
+        each
+        for each, linear, circular in zip(
+            configs(plan, moves), moves.linear.tolist(), moves.circular.tolist(), strict=True
+        )
+        for _ in range(2 if circular else 1 if linear else 0)
+    ]
+    wrong = sum(a != b for a, b in zip(said, planned, strict=False)) + abs(len(said) - len(planned))
     return [*found, *([f"CONFIG differs at {wrong} targets"] if wrong else [])]

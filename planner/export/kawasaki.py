@@ -228,7 +228,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         if not (fine or accuracy > 0.0):
             raise last.error("a move that goes on without an accuracy")
         numbers = [float(value) for value in last.parts[0].split(",")]
-        via = np.array([float(value) for value in first[0].parts[0].split(",")[:3]]) * 1e-3 if first else None
+        via = _read_pose([float(value) for value in first[0].parts[0].split(",")]) if first else None
         if last.word == "line":
             steps.moves.append(ProgramStep(True, fine, _read_pose(numbers), speed, accuracy, via=via))
         else:

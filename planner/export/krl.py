@@ -29,7 +29,7 @@ from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, na
 from planner.export.rapid.text import module_name
 from planner.export.readback import filled, played_differences
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_krl
+from planner.export.support import by_bead, off_differences, output_numbers, outputs_about, unsupported_in_krl
 from planner.export.text import ascii_comment, number, require_writable, resting
 
 if TYPE_CHECKING:
@@ -438,6 +438,7 @@ class KrlProgram:
     turn      (m) Turn of LIN targets; UNSPECIFIED for others
     share     (m) speed of the axes [percent]
     settings  system variables and what they are set to
+    off       outputs that are switched off before the first move, and behind the last one
     """
 
     program: RobotProgram
@@ -445,6 +446,7 @@ class KrlProgram:
     turn: Indices
     share: Indices
     settings: dict[str, str]
+    off: tuple[frozenset[str], ...]
 
 
 def read_krl(source: str, data: str, forward: Forward, further: Mapping[str, str] | None = None) -> KrlProgram:
@@ -648,7 +650,8 @@ class _Run:
             triggers=self.triggers,
             arcs=None if np.isnan(self.vias).all() else np.array(self.vias),
         )
-        return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings)
+        off = tuple(frozenset(each.parts[0] for at, each in self.off if at == k) for k in (-1, m - 1))
+        return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings, off)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -710,4 +713,4 @@ def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     expected = settings(plan, moves)
     found += [f"{key} is not {value}" for key, value in expected.items() if source.settings.get(key) != value]
     found += [f"{key} is set as well" for key in source.settings if key not in expected]
-    return found
+    return [*found, *off_differences(plan, source.off)]

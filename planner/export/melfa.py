@@ -370,7 +370,7 @@ class _Run:
         via = None
         if word == "arc":
             before = self.steps.moves[-1] if self.steps.moves else None
-            begin, via = self._pose(places[keys[0]][0]), self._pose(places[keys[1]][0])[:3]
+            begin, via = self._pose(places[keys[0]][0]), self._pose(places[keys[1]][0])
             if before is None or (before.linear and np.abs(before.target - begin).max() > 1e-9):
                 raise statement.error("an arc does not begin where the move before it ends")
         self.pending = ProgramStep(True, False, pose, self.speed, branch=branch_of(int(flag.split(",")[0])), via=via)

@@ -134,6 +134,7 @@ class Agreement:
     output    times that another output is switched than that of the bead's material
     pace      programmed speed of travel moves off the plan's greatest within them, where the language has one [m/s]
     swerves   moves in beads that are neither lines nor arcs
+    bent      arcs whose point on the way is an end of theirs: controllers refuse to start them
     """
 
     widest: float
@@ -152,6 +153,7 @@ class Agreement:
     output: int
     pace: float
     swerves: int
+    bent: int
 
     def differences(self) -> list[str]:
         """Every difference beyond what rounding and thinning may cause, in words."""
@@ -170,6 +172,7 @@ class Agreement:
             "output": (0, "times"),
             "pace": (PACE, "m/s"),
             "swerves": (0, "moves in beads"),
+            "bent": (0, "arcs without a way"),
         }
         return beyond(
             (f"{name} differs by {{:.3g}} {unit}", getattr(self, name), limit) for name, (limit, unit) in limits.items()
@@ -187,7 +190,7 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
     if [on for on, _ in pieces] != expected_on:
         far = (np.inf,) * 10
-        return Agreement(widest, widening, *far, len(program.conf), len(program.triggers), np.inf, 0)
+        return Agreement(widest, widening, *far, len(program.conf), len(program.triggers), np.inf, 0, 0)
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
@@ -211,6 +214,7 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
         output=_wrong_outputs(plan, program, first),
         pace=_travel_pace(plan, match, on),
         swerves=int(np.count_nonzero(_within(match, on)[0] & ~match.all.linear[:-1])),
+        bent=_bent(match),
     )
 
 
@@ -355,6 +359,14 @@ def _within(match: _Match, on: NDArray[np.bool_]) -> tuple[Flags, Flags]:
     own = match.piece[1:] == match.piece[:-1]
     laid = on[match.piece[:-1]]
     return own & laid, own & ~laid
+
+
+def _bent(match: _Match) -> int:
+    """How many arcs have their point on the way at one of their ends."""
+    rows = match.all
+    ends = np.stack([rows.position[:-1], rows.position[1:]])
+    near = np.linalg.norm(ends - rows.via[:-1], axis=2).min(axis=0) <= ROUNDED
+    return int(np.count_nonzero(rows.circular[:-1] & near))
 
 
 def _travel_pace(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:

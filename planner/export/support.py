@@ -24,6 +24,15 @@ VAL3_OUTPUTS = 16  # of the board that a CS8 or CS9 has, numbered from 0
 STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints
 
 
+def off_differences(plan: Plan, off: Sequence[frozenset[str]]) -> list[str]:
+    """What is wrong with the outputs (their numbers) that a program switches off before its first move and behind its last
+    one, in words: they must be the extruders'."""
+    outputs = frozenset(map(str, output_numbers(plan.problem).values()))
+    if all(each == outputs for each in off):
+        return []
+    return ["other outputs than the extruders' are switched off at the start, or at the end"]
+
+
 def output_numbers(problem: Problem) -> dict[str, int]:
     """Number of each extruder's output by its signal: the problem's own, and those after it for further materials."""
     signals = [each.signal for each in materials_of(problem)] or [problem.program.extruder_signal]

@@ -32,7 +32,7 @@ from planner.export.program import UNSPECIFIED, RobotProgram, about, named
 from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.export.readback import filled, played_differences
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_urscript
+from planner.export.support import by_bead, off_differences, output_numbers, outputs_about, unsupported_in_urscript
 from planner.export.text import ascii_comment, number, require_writable, resting
 
 if TYPE_CHECKING:
@@ -299,11 +299,13 @@ class Script:
     program     its work object is the part in the controller's base frame; triggers name outputs by their numbers
     joints      (m, 6) targets of joint moves [rad]; NaN for others
     pace        (m, 2) acceleration [m/s^2 or rad/s^2] and speed [m/s or rad/s] of each move
+    off         outputs that are switched off before the first move, and behind the last one, of each script
     """
 
     program: RobotProgram
     joints: Array
     pace: Array
+    off: tuple[frozenset[str], ...]
 
 
 def read_urscript(text: str, forward: Forward) -> Script:
@@ -361,7 +363,8 @@ def read_urscript(text: str, forward: Forward) -> Script:
         triggers=switch_triggers(switched, m),
         arcs=arcs,
     )
-    return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2])
+    off = tuple(frozenset(output for at, output, value in switched if at == k and not value) for k in (-1, m - 1))
+    return Script(program, np.where(linear[:, None], np.nan, rows), how[:, :2], off)
 
 
 def joined(first: Script, then: Script) -> Script:
@@ -382,7 +385,8 @@ def joined(first: Script, then: Script) -> Script:
     rows: dict[str, Any] = {name: np.concatenate([getattr(a, name), getattr(b, name)[1:]]) for name in row_wise}
     triggers = a.triggers | {move + later: group for move, group in b.triggers.items()}
     program = replace(a, **rows, wait=np.concatenate([wait, b.wait[1:]]), triggers=triggers)
-    return Script(program, np.concatenate([first.joints, then.joints[1:]]), np.concatenate([first.pace, then.pace[1:]]))
+    joints, pace = (np.concatenate([getattr(first, name), getattr(then, name)[1:]]) for name in ("joints", "pace"))
+    return Script(program, joints, pace, (*first.off, *then.off))
 
 
 def _six(text: str) -> list[float]:
@@ -439,6 +443,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
         *blend_differences(plan, written),
         *_early(written),
         *_joint_moves(plan, moves, script),
+        *off_differences(plan, script.off),
     ]
 
 
@@ -476,6 +481,8 @@ def _joint_moves(plan: Plan, moves: Moves, script: Script) -> list[str]:
             found.append(f"acceleration of a {words} differs from {planned:.1f}")
     if not np.array_equal(script.program.circular[1:], moves.circular):
         return [*found, "moves are not of the planned kinds"]
+    if not np.array_equal(script.program.fine[1:], np.round(radii_of(plan, moves), LENGTH) == 0.0):
+        found.append("it stops elsewhere than planned")
     lines = stepped_speeds(moves, 10.0**-SPEED)[moves.linear]
     if len(lines) != np.count_nonzero(~joint) or np.abs(script.pace[~joint, 1] - lines).max() > 0.5 * 10.0**-SPEED:
         found.append("speeds of linear moves are not the planned ones")

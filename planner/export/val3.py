@@ -394,7 +394,7 @@ def _step(statement: Statement, arrays: Arrays) -> ProgramStep:
     target, via = values[_at(statement, key, values)], None
     if statement.word == "arc":
         there = arrays.get(f"p{statement.parts[1]}", [])
-        via = _pose(there[_at(statement, statement.parts[2], there)])[:3]
+        via = _pose(there[_at(statement, statement.parts[2], there)])
     vel, tmax, blend, radius = arrays["mPace"][_at(statement, pace, arrays["mPace"])]
     fine = blend == "off"
     if not fine and (blend == "Cartesian") != linear:

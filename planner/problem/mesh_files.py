@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 import re
 import struct
 import warnings
@@ -36,7 +37,7 @@ _MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
 _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
 # What trimesh's readers raise at files that are none, or damaged.
 _UNREADABLE = (
-    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NotImplementedError, RuntimeError,
+    ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError, NotImplementedError, RuntimeError,
     SyntaxError, TypeError, ValueError, Warning, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
 
@@ -245,6 +246,9 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
     """All bodies of a file as one mesh, in their places."""
     import trimesh
 
+    logging.getLogger("trimesh").addHandler(
+        logging.NullHandler()
+    )  # what it cannot read is told by us, without a traceback
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -387,6 +387,8 @@ class _Run:
             if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
                 for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
                     _known(move, name, names)
+            if min(module.speeds[speed]) <= 0.0:
+                raise move.error(f"{speed} has a speed that is not above 0")
             speeds.append(module.speeds[speed])
             if bool(first) != word.startswith("Trigg"):
                 raise move.error("TriggL and TriggC, and nothing else, have triggers")

@@ -32,6 +32,7 @@ _DWG = re.compile(rb"AC10\d\d")
 _START = re.compile(rb"\s*(?:999\s[^\n]*\n\s*)*0\s*[\r\n]+\s*SECTION", re.IGNORECASE)
 _END = re.compile(rb"^\s*EOF\s*$", re.MULTILINE)
 _DEEPEST = 16  # blocks within blocks
+_UNDRAWN = (ValueError, ZeroDivisionError, TypeError, AttributeError)  # of an entity that lacks what it is drawn by
 _COARSE = 1e-3  # of the drawing's extent: chords by which it is measured at first
 _SPANS = 8  # pieces of a spline between knots that are looked at
 _FLAT = 1e-9  # of the extent: heights that differ by less are one
@@ -207,7 +208,7 @@ def _parts(entities: Iterable[Any], layer: str, depth: int, others: Counter[str]
                     one.dxf.zscale = 1.0  # some programs flatten blocks so, and ezdxf cannot turn what has no height
                 try:
                     inner = list(one.virtual_entities(skipped_entity_callback=skipped))
-                except (ZeroDivisionError, ValueError):
+                except _UNDRAWN:
                     others["INSERT without size"] += 1
                     continue
                 yield from _parts(inner, own, depth + 1, others)
@@ -248,7 +249,10 @@ def _measured(found: _Found, where: Complaint, spec: DxfSpec) -> float:
     """About how wide the drawing is, or how large where it has no width, in its units."""
     from ezdxf.bbox import extents
 
-    box = extents((entity for entity, _, _ in found.lines), fast=True)
+    try:
+        box = extents((entity for entity, _, _ in found.lines), fast=True)
+    except _UNDRAWN as error:
+        raise where(f"a line of {spec.dxf.name} cannot be drawn: {error}", hint="draw it anew") from error
     size = max(float(box.size.x), float(box.size.y)) if box.has_data else 0.0
     if not (np.isfinite(size) and size > 0.0):
         raise where(f"{spec.dxf.name} draws nothing but points", hint="is it drawn in the xy plane?")
@@ -264,7 +268,7 @@ def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> 
     for entity, name, layer in found.lines:
         try:
             points = np.array([(p.x, p.y, p.z) for p in _vertices(entity, chord)], dtype=float)
-        except (ValueError, ZeroDivisionError, TypeError) as error:
+        except _UNDRAWN as error:
             raise where(f"{name} of {spec.dxf.name} cannot be drawn: {error}", hint="draw it anew") from error
         if len(points) == 0:
             continue

@@ -482,9 +482,12 @@ class _Machine:
                 centre = start + self.unit * np.array([words.get("I", 0.0), words.get("J", 0.0)])
             else:
                 centre = centre_by_radius(start, end, self.unit * words["R"], clockwise)
-            return arc_by_centre(start, end, centre, clockwise, self.chord_tolerance)
+            points = arc_by_centre(start, end, centre, clockwise, self.chord_tolerance)
         except NoArc as error:
             raise self._wrong(str(error)) from None
+        if not (np.abs(points) <= FARTHEST).all():  # though its ends may be near
+            raise self._wrong(f"the arc comes farther than {FARTHEST:g} m from the origin")
+        return points
 
     def _starts(self, x0: float, y0: float, z0: float, x: float, y: float, z: float) -> bool:
         """Whether what is extruded on a move belongs to the print; it goes on with a thread, or begins one."""

@@ -29,6 +29,7 @@ _SHOWN = 12  # names of faces in a message
 
 LARGEST_FILE = 100_000_000  # bytes
 FARTHEST = 100.0  # m from the origin: a hall
+_WIDEST = 1e9  # of a surface's domain: files count in millimetres, radians, or from 0 to 1
 LONGEST = 300  # s that a file may take
 _READER = "planner.toolpath.step.reader"
 _BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
@@ -123,7 +124,10 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
     """
     name = spec.file.name
     check_step(spec.file, where)
-    request = {"file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3}
+    request = {
+        "file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3,
+        "parent": os.getpid(),
+    }  # fmt: skip
     answer = _answer(request, name, where)
     if "reason" in answer:
         raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
@@ -134,9 +138,15 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
         finite = (
             np.isfinite(poles).all() and (poles[:, :, 3] > 0.0).all() and all(np.isfinite(x).all() for x in face.loops)
         )
+        finite = finite and all(map(_ascend, (face.surface.knots_u, face.surface.knots_v), face.surface.degrees))
         if not finite or not (np.abs(poles[:, :, :3] / poles[:, :, 3:]) <= FARTHEST).all():
             raise where(f"{face.title} of {name} is no surface, or farther than {FARTHEST:g} m from the origin")
     return FacesRead(tuple(faces), tuple(f"part.step: {name}: {note}" for note in answer["notes"]))
+
+
+def _ascend(knots: Array, degree: int) -> bool:
+    """Whether knots are those of a spline of a degree: none before the one in front of it, over a domain that has a length."""
+    return bool((np.diff(knots) >= 0.0).all() and 0.0 < knots[-degree - 1] - knots[degree] <= _WIDEST)
 
 
 def check_step(path: Path, where: Complaint) -> None:

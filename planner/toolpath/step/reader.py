@@ -25,6 +25,7 @@ from OCP.TopExp import TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
 from planner.base.arrays import Array
+from planner.base.signals import end_with_parent
 from planner.toolpath.step.files import Damaged, choose_faces
 from planner.toolpath.step.shapes import REPAIR, all_faces, subshapes
 
@@ -222,8 +223,10 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
 
 
 def main() -> int:
-    """Answer a request, JSON on standard input (file, faces, apart_mm, sew_mm), with arrays as NPZ on standard output."""
+    """Answer a request, JSON on standard input (file, faces, apart_mm, sew_mm, parent: the number of the process that
+    asks, with which this one ends), with arrays as NPZ on standard output."""
     request = json.load(sys.stdin)
+    end_with_parent(request["parent"])
     try:
         answer = read(request)
     except Damaged as error:

@@ -67,6 +67,9 @@ def stack_of(
     axes = [np.linspace(a, b, _GUIDE_GRID) for a, b in zip(low, high, strict=True)]
     plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     plane = plane[tree.top(plane)[1] >= 0]
+    if len(plane) == 0:
+        reason = f"{spec.source.mesh.name} is narrower, seen from above, than a {_GUIDE_GRID}th of its length: nothing fits in"
+        raise problem.error("layers.source.mesh", reason, "is a length of it in another unit?")
     reach = _REACH * problem.process.bead.width
     lowest = GuideSpec.model_construct(z=float(solid.vertices[:, 2].min()), mesh=None)
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
