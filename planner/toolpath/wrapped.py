@@ -25,6 +25,7 @@ from planner.toolpath.plane_paths import (
 )
 from planner.toolpath.substrate.clipping import Clipped
 from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.workload import check_curves
 
 
 @dataclass(frozen=True)
@@ -106,6 +107,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
     clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
     if clipped.share > spec.source.crumbs or not clipped.paths:
         raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
+    check_curves(problem, [path.points for path in clipped.paths], spec.count, "layers.source.width_mm")
     curves = []
     for path in clipped.paths:
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)

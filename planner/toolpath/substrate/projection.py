@@ -70,6 +70,7 @@ from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, P
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
+from planner.toolpath.workload import check_curves
 
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
 
@@ -229,6 +230,7 @@ def _plane_curves(
     paths, told = paths_and_notes(problem, source)
     clipped = replace(Clipped.of([placed(path, spec) for path in paths], width), told=told)
     clipped.check(most)
+    check_curves(problem, [path.points for path in clipped.paths], spec.count, _size_key(source))
     body, clipped = _body(problem, part, clipped, most)
     substrate = Substrate(body, spec.height, spec.offset == "z")
     clipped = clipped.without(_bends(substrate, spec.count), width)
