@@ -23,11 +23,13 @@ _FEWEST = 9  # samples of a rounded path
 
 @dataclass(frozen=True)
 class Workload:
-    """What planning has to do: numbers of beads, layers, waypoints, and balls that stand for the print as an obstacle."""
+    """What planning has to do: numbers of beads, layers, waypoints, length [m] of all beads, and balls that stand for the print
+    as an obstacle."""
 
     beads: int
     layers: int
     waypoints: int
+    length: float
     balls: int
 
     @classmethod
@@ -37,6 +39,7 @@ class Workload:
             beads=len(toolpath.beads),
             layers=toolpath.layers,
             waypoints=sum(len(bead.s) for bead in toolpath.beads),
+            length=toolpath.length,
             balls=round(sum(_balls(bead) for bead in toolpath.beads)),
         )
 
@@ -104,14 +107,14 @@ def check_laid(problem: Problem, toolpath: Toolpath) -> None:
             "layers",
             work.waypoints,
             f"{work.beads:,} beads make",
-            _fewer(work, WAYPOINTS.most / work.waypoints),
+            fewer(work, WAYPOINTS.most / work.waypoints),
         )
     check_beads(problem, work.beads)
     BALLS.check(
         work.balls,
         f"beads of {toolpath.length:.1f} m make",
         lambda reason, hint=None: problem.error("process.bead", reason, hint),
-        _fewer(work, BALLS.most / work.balls) + ", or higher beads",
+        fewer(work, BALLS.most / work.balls) + ", or higher beads",
     )
 
 
@@ -120,7 +123,8 @@ def check_beads(problem: Problem, count: int) -> None:
     BEADS.check(count, "it makes", partial(problem.error, "layers"), "fewer layers or paths")
 
 
-def _fewer(work: Workload, share: float) -> str:
+def fewer(work: Workload, share: float) -> str:
+    """What of a print is a share of it, in words."""
     return (
         f"{max(int(work.layers * share), 1):,} of its {work.layers:,} layers" if work.layers > 1 else "a smaller part"
     )

@@ -27,8 +27,8 @@ from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.mesh_top import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
-from planner.toolpath.workload import check_length
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
+from planner.toolpath.workload import check_length
 
 _GUIDE_GRID = 120  # places along the body's longer side at which its surfaces are looked at
 _REACH = 2.0  # bead widths beside the body within which its surfaces count
