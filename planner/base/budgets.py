@@ -26,7 +26,7 @@ class Limit:
 
     def refusal(self, count: float, what: str, complain: Complaint, hint: str | None = None) -> InputError:
         """The error that `check` raises; hint: what would fit."""
-        return complain(f"{what} {round(count):,} {self.unit}, of which {self.most:,} are planned at most", hint=hint)
+        return complain(f"{what} {round(count):,} {self.unit}; at most {self.most:,} are taken", hint=hint)
 
 
 # Of the whole print, whatever its source

@@ -5,7 +5,7 @@ from __future__ import annotations
 from planner.problem import Problem
 from planner.problem.drawings import LayersSpec, ProjectedLayersSpec, WrappedDxfSpec
 from planner.toolpath.plane_paths import length
-from planner.toolpath.workload import Workload, check_curves, samples_of
+from planner.toolpath.workload import Workload, balls_beside, check_curves, samples_of
 
 
 def foreseen(problem: Problem) -> Workload | None:
@@ -32,5 +32,5 @@ def foreseen(problem: Problem) -> Workload | None:
         layers=count,
         waypoints=count * samples_of(points, problem.process.corner_tolerance),
         length=total,
-        balls=round(total / thick * max(bead.width / thick, 1.0)),
+        balls=round(total / thick * balls_beside(bead.width, thick)),
     )

@@ -19,6 +19,7 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, length
 
 _FEWEST = 9  # samples of a rounded path
+_STRUT, _WIDER = 0.25, 1.25  # as `print_body` has them: diameters between a strut's balls, and how wide a row may be
 
 
 @dataclass(frozen=True)
@@ -45,10 +46,15 @@ class Workload:
 
 
 def _balls(bead: Bead) -> float:
-    """How many balls `print_body` makes of a bead, about."""
+    """How many balls `print_body` makes of a bead, about: rows of them beside each other, as thick as the bead."""
     thick = float(np.minimum(bead.width, bead.height).min())
-    apart = 0.25 if bead.round else 1.0
-    return (bead.length / (apart * thick) + 1.0) * max(float(bead.width.max()) / thick, 1.0)
+    rows = balls_beside(float(bead.width.max()), thick)
+    return max(bead.length / (_STRUT * thick if bead.round else thick) + 1.0, 2.0) * rows
+
+
+def balls_beside(width: float, thick: float) -> int:
+    """How many balls of a thickness stand side by side in a bead of a width [m]."""
+    return max(int(np.ceil(width / thick - _WIDER)), 0) + 1
 
 
 def samples_of(paths: Iterable[Array], tolerance: float) -> int:
@@ -62,7 +68,7 @@ def check_curves(problem: Problem, paths: Sequence[Array], layers: int, field: s
     field: that sets the size of the paths
     """
     one = samples_of(paths, problem.process.corner_tolerance)
-    drawn = f"{len(paths):,} paths of {sum(map(length, paths)):.1f} m make"
+    drawn = _drawn(len(paths), sum(map(length, paths)))
     if one > WAYPOINTS.most:
         smaller = f"paths of {WAYPOINTS.most / one:.2g} times that length"
         raise _too_many(problem, field, one, drawn, smaller)
@@ -91,7 +97,7 @@ def check_threads(problem: Problem, lengths: Sequence[float], layers: Sequence[i
     total = np.cumsum(each)
     if total[-1] > WAYPOINTS.most:
         fits = int(layers[int(np.searchsorted(total, WAYPOINTS.most, side="right"))])
-        drawn = f"{len(lengths):,} paths of {sum(lengths):.1f} m make"
+        drawn = _drawn(len(lengths), sum(lengths))
         raise _too_many(
             problem, "layers.count", int(total[-1]), drawn, f"layers.count: {fits}" if fits else "a smaller part"
         )
@@ -128,6 +134,10 @@ def fewer(work: Workload, share: float) -> str:
     return (
         f"{max(int(work.layers * share), 1):,} of its {work.layers:,} layers" if work.layers > 1 else "a smaller part"
     )
+
+
+def _drawn(count: int, total: float) -> str:
+    return f"1 path of {total:.1f} m makes" if count == 1 else f"{count:,} paths of {total:.1f} m make"
 
 
 def _too_many(problem: Problem, field: str, count: int, drawn: str, fits: str) -> InputError:

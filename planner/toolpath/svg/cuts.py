@@ -20,7 +20,7 @@ from planner.toolpath.svg.drawing import Outline, Region
 from planner.toolpath.svg.shapes import OutlinePiece
 
 _LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
-_COUNTED = 300  # chords whose crossings with all others are counted
+_COUNTED = 100  # chords whose crossings with all others are counted
 _COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
 
 
