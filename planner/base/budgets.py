@@ -31,8 +31,8 @@ class Limit:
 
 # Of the whole print, whatever its source
 WAYPOINTS = Limit(3_000_000, "waypoints", "1.26 million take 11 minutes and 7.5 GB on two cores")
-BEADS = Limit(50_000, "beads", "20,000 take some ten minutes: each has a travel of its own")
-BALLS = Limit(40_000_000, "places of the print that it keeps clear of", "100 bytes each, searched for each waypoint")
+BEADS = Limit(50_000, "beads", "20,000 take some five minutes: each has a travel of its own")
+BALLS = Limit(20_000_000, "places of the print to keep clear of", "0.4 kB each; flat beads have many")
 
 # Problem files
 YAML_BYTES = Limit(1_000_000, "bytes", "a problem is some 2 kB; curves stand in files of their own")

@@ -27,7 +27,7 @@ VOLUMETRIC = 1e-6  # m^2: of a filament whose millimetres are cubic ones
 _SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
 _FEWER = 0.5  # times the tolerance then
 _TRIES = 8
-_MORE = 2.0  # times the length that can be planned, after which the rest of a file is not read: some may be left out
+_MORE = 1.25  # times the length that can be planned, after which the rest of a file is not read: some may be left out
 _FADING = 0.05  # of a thread, at most, that is thinner than any bead
 
 
