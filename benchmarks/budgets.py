@@ -27,7 +27,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.memory import held_mb
-from benchmarks.usage import ROOT, machine
+from benchmarks.usage import ROOT, cpu_seconds, machine
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
 from planner.planning.estimate import estimate
 from planner.planning.options import DEFAULT_DT
@@ -86,10 +86,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run took, and the last line that it said."""
+    """What a run took, CPU seconds of all its processes too, and the last line that it said."""
 
     code: int
     seconds: float
+    cpu_s: float
     mb: float
     said: str
 
@@ -308,7 +309,7 @@ def run(case: Case, limit: float = 2.0) -> Outcome:
         folder = Path(name)
         words = [sys.executable, "-m", f"planner.{case.command}", str(case.make(folder))]
         words += ["--quiet", "--out", str(folder / "out")] if case.command == "solve" else []
-        began = time.perf_counter()
+        began, used = time.perf_counter(), cpu_seconds()
         process = subprocess.Popen(
             words, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
         )
@@ -329,7 +330,7 @@ def run(case: Case, limit: float = 2.0) -> Outcome:
         ended.set()
         watcher.join()
     lines = [line for line in said.replace(f"{folder}/", "").splitlines() if line.strip()]
-    return Outcome(process.returncode, seconds, most[0], lines[-1] if lines else "")
+    return Outcome(process.returncode, seconds, cpu_seconds() - used, most[0], lines[-1] if lines else "")
 
 
 def committed() -> Iterator[tuple[str, float, float, float, float]]:
@@ -395,7 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.model:
         show_model(console)
         return 0
-    table = Table("input", "command", "s", "at most", "MB", "at most", "exit", "", title=machine())
+    table = Table("input", "command", "s", "at most", "CPU s", "MB", "at most", "exit", "", title=machine())
     kept = True
     for name in options.names or CASES:
         case = CASES[name]
@@ -407,6 +408,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             case.command,
             f"{outcome.seconds:.1f}",
             f"{case.seconds:.0f}",
+            f"{outcome.cpu_s:.1f}",
             f"{outcome.mb:.0f}",
             f"{case.mb:.0f}",
             f"{outcome.code}",

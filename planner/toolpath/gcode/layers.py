@@ -27,7 +27,6 @@ VOLUMETRIC = 1e-6  # m^2: of a filament whose millimetres are cubic ones
 _SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
 _FEWER = 0.5  # times the tolerance then
 _TRIES = 8
-_MORE = 1.25  # times the length that can be planned, after which the rest of a file is not read: some may be left out
 _FADING = 0.05  # of a thread, at most, that is thinner than any bead
 
 
@@ -102,7 +101,7 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     Raises InputError for a file that cannot be read, and for what cannot be printed as level layers.
     """
     process, source = problem.process, spec.source
-    most = _MORE * longest(problem) if spec.count is None else np.inf
+    most = longest(problem) if spec.count is None else np.inf
     read = read_gcode(source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"), most)
     chosen = choose(problem, spec, read)
     origin = np.asarray(source.origin)

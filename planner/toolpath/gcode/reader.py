@@ -28,6 +28,7 @@ from planner.toolpath.gcode.marks import NUMBER, OWN, PURGE
 
 LARGEST_FILE = GCODE_BYTES.most
 FARTHEST = 100.0  # m: a hall
+_MORE = 1.25  # times the length that can be planned, after which the rest of a file is not read
 _LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
@@ -108,7 +109,7 @@ def read_gcode(
     whatever they are. Other commands are passed over and counted. A packed file of Bambu Studio (3MF) is unpacked.
     `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
     Raises InputError with file and line for a line that cannot be read, that a level print has no place for, or from which on
-    more than `longest` [m] is extruded.
+    a quarter more than `longest` [m], that can be planned, is extruded: some may be left out.
     """
     complain = partial(InputError, file=path) if where is None else where
     text = text_of(path, complain)
@@ -521,7 +522,7 @@ class _Machine:
                 self.speeds = min(slow, self.speed), max(fast, self.speed)
         self.moves += 1
         self.length += math.hypot(x - x0, y - y0)
-        if self.moves > GCODE_MOVES.most or self.length > self.longest:
+        if self.moves > GCODE_MOVES.most or self.length > _MORE * self.longest:
             raise self._too_much()
         if not self.marked and z - z0 > _LEVEL:
             self._close_level()
@@ -534,10 +535,14 @@ class _Machine:
         """The print is longer than can be planned: what comes before this line fits, layer by layer."""
         if self.moves > GCODE_MOVES.most:
             return GCODE_MOVES.refusal(self.moves, "up to here there are", self._wrong, "print it in several files")
-        layers = len({round(thread.z / _LEVEL) for thread in self.threads})
+        lengths: dict[int, float] = {}
+        for thread in self.threads:
+            level = round(thread.z / _LEVEL)
+            lengths[level] = lengths.get(level, 0.0) + thread.length
+        fits = int(np.searchsorted(np.cumsum([lengths[z] for z in sorted(lengths)]), self.longest, side="right"))
         return self._wrong(
-            f"up to here {self.length:.0f} m are extruded in {layers:,} layers, more than can be planned",
-            "what would fit: a lower layers.count, or a greater process.corner_tolerance_mm",
+            f"up to here {self.length:.3g} m are extruded in {len(lengths):,} layers; {self.longest:.3g} m can be planned",
+            f"what would fit: layers.count: {max(fits, 1)}, or a greater process.corner_tolerance_mm",
         )
 
     def close(self) -> None:
