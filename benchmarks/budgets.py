@@ -303,7 +303,7 @@ CASES = {
 }
 
 
-def run(case: Case, limit: float = 2.0) -> Outcome:
+def run(case: Case, limit: float) -> Outcome:
     """Generate an input and give it to its command; ended after `limit` times the seconds that it may take."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -382,6 +382,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m benchmarks.budgets", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}; default: all")
+    parser.add_argument(
+        "--wait", type=float, default=2.0, metavar="TIMES", help="of its seconds, after which one is ended"
+    )
     parser.add_argument("--list", action="store_true", help="say what there is, and run nothing")
     parser.add_argument("--model", action="store_true", help="time and memory as foreseen, against the committed runs")
     options = parser.parse_args(arguments)
@@ -400,7 +403,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     kept = True
     for name in options.names or CASES:
         case = CASES[name]
-        outcome = run(case)
+        outcome = run(case, options.wait)
         kept = kept and outcome.kept(case)
         console.print(f"{name}: {outcome.said}", highlight=False, markup=False, soft_wrap=True)
         table.add_row(

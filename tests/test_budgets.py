@@ -144,11 +144,9 @@ def test_gcode_of_too_much_length(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_reading_gcode_ends_where_it_is_too_long() -> None:
     file = load("planar_gcode").layers.source.gcode
-    with pytest.raises(
-        InputError, match=r"up to here 0\.2\d* m are extruded in \d layers; 0\.2 m .*layers\.count: 1,"
-    ) as error:
-        read_gcode(file, 1e-5, longest=0.2)
-    assert error.value.line is not None and error.value.line < 60
+    with pytest.raises(InputError, match=r"0\.75\d* m are extruded in 2 layers; 0\.6 m .*layers\.count: 1,") as error:
+        read_gcode(file, 1e-5, longest=0.6)
+    assert error.value.line is not None and error.value.line < 160
 
 
 def test_too_many_moves(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -163,6 +161,12 @@ def test_too_many_waypoints_in_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
         InputError, match=r"layers\.source\.waypoints: peer_cap\.txt has 1,\d\d\d waypoints; at most 500"
     ):
         build_toolpath(load("peer_cap"))
+
+
+def test_one_long_spiral_has_no_layers_that_fit() -> None:
+    file = load("planar_gcode").layers.source.gcode
+    with pytest.raises(InputError, match=r"in 1 layers; 0\.05 m can be planned \(what would fit: a smaller part, or"):
+        read_gcode(file, 1e-5, longest=0.05)
 
 
 @pytest.mark.parametrize(
@@ -255,3 +259,10 @@ def test_the_benchmark_judges_what_it_runs(capsys: pytest.CaptureFixture[str], m
     assert inputs.main(["yaml"]) == 1
     with pytest.raises(SystemExit):
         inputs.main(["yamll"])
+
+
+def test_the_page_has_all_limits() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "budgets.md").read_text(encoding="utf-8")
+    for name, limit in budgets.table():
+        reason = limit.reason.replace("<use>", "`<use>`")
+        assert f"| `{name}` | {limit.most:,} {limit.unit} | {reason} |" in page, name

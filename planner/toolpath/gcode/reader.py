@@ -535,6 +535,7 @@ class _Machine:
         """The print is longer than can be planned: what comes before this line fits, layer by layer."""
         if self.moves > GCODE_MOVES.most:
             return GCODE_MOVES.refusal(self.moves, "up to here there are", self._wrong, "print it in several files")
+        self.close()
         lengths: dict[int, float] = {}
         for thread in self.threads:
             level = round(thread.z / _LEVEL)
@@ -542,7 +543,7 @@ class _Machine:
         fits = int(np.searchsorted(np.cumsum([lengths[z] for z in sorted(lengths)]), self.longest, side="right"))
         return self._wrong(
             f"up to here {self.length:.3g} m are extruded in {len(lengths):,} layers; {self.longest:.3g} m can be planned",
-            f"what would fit: layers.count: {max(fits, 1)}, or a greater process.corner_tolerance_mm",
+            f"what would fit: {f'layers.count: {fits}' if fits else 'a smaller part'}, or a greater process.corner_tolerance_mm",
         )
 
     def close(self) -> None:
