@@ -144,7 +144,7 @@ def test_gcode_of_too_much_length(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_reading_gcode_ends_where_it_is_too_long() -> None:
     file = load("planar_gcode").layers.source.gcode
-    with pytest.raises(InputError, match=r"0\.75\d* m are extruded in 2 layers; 0\.6 m .*layers\.count: 1,") as error:
+    with pytest.raises(InputError, match=r"0\.75\d* m are extruded in 3 layers; 0\.6 m .*layers\.count: 1,") as error:
         read_gcode(file, 1e-5, longest=0.6)
     assert error.value.line is not None and error.value.line < 160
 
