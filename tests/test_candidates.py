@@ -53,13 +53,16 @@ def test_speed_and_time_are_weighed(plans: list[tuple[str, float, float]], best:
 
 
 def test_others_are_asked_where_something_is_left_to_be_desired() -> None:
-    assert not _leaves_to_be_desired(planned("own", 1.0, 100.0), 1000)
-    assert _leaves_to_be_desired(planned("own", 0.99, 100.0), 1000)
-    assert not _leaves_to_be_desired(planned("own", 0.99, 100.0), 100_000)
-    assert _leaves_to_be_desired(planned("own", 1.0, 100.0, verified=False), 100_000)
+    assert not _leaves_to_be_desired(planned("own", 1.0, 100.0), 1000, 1)
+    assert _leaves_to_be_desired(planned("own", 0.99, 100.0), 1000, 1)
+    assert not _leaves_to_be_desired(planned("own", 0.99, 100.0), 100_000, 1)
+    assert _leaves_to_be_desired(planned("own", 1.0, 100.0, verified=False), 100_000, 1)
     travels = planned("own", 1.0, 100.0)
     travels.report.metrics["deposition_time_s"] = 50.0
-    assert _leaves_to_be_desired(travels, 1000)
+    assert _leaves_to_be_desired(travels, 1000, 1)
+    assert not _leaves_to_be_desired(
+        travels, 10_000, 2_000
+    )  # many beads: each further plan travels between all of them
 
 
 def helix(folder: Path, turns: float) -> Problem:

@@ -53,6 +53,11 @@ class Stages:
         bar = progress.add_task("compiling", total=kernels)
         return lambda: progress.advance(bar)
 
+    def tell(self, words: str) -> None:
+        """Say something to who waits, if anybody does."""
+        if self._console is not None:
+            self._console.print(words, markup=False)
+
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Measure the block as stage `name`."""

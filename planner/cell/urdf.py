@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.parsers import expat
 
 import pinocchio as pin
 
+from planner.base.budgets import LINKS, URDF_BYTES
 from planner.base.errors import InputError, nearest_name
 
 XACRO = "run xacro on it first, or name it .xacro and give it to beadwise robots add"
-LARGEST = 20_000_000  # bytes of a URDF: meshes stand in files of their own
+LARGEST = URDF_BYTES.most
 FARTHEST = 20.0  # m: what is farther or larger has its length in millimetres
 TYPES = ("fixed", "revolute", "continuous", "prismatic", "planar", "floating")
 _MOVES = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
@@ -99,8 +101,10 @@ def parse_urdf(data: bytes, path: Path) -> Urdf:
             if name in seen:
                 raise urdf.error(element, f"{tag} {name}", "stands in the file twice")
             seen.add(name)
-    if not urdf.links():
+    links = urdf.links()
+    if not links:
         raise urdf.error(root, "robot", "has no links")
+    LINKS.check(len(links), "the robot has", partial(urdf.error, root, "robot"), "leave out what does not move the arm")
     _check_tree(urdf)
     return urdf
 

@@ -35,6 +35,7 @@ TRAVEL_SHARE = 0.35  # of the print's time above which others are asked
 TINY = 2_000
 SOME_TRAVEL = 0.05  # of the print's time
 LARGE = 20_000  # waypoints above which a verified plan is taken as it is: the others would take too long
+MANY = 1_000  # beads above which it is, too: to travel between them takes some 10 ms a bead and plan, of which there are seven
 SAME_SPEED = 1e-3  # share of the length at speed within which two plans are as good
 AS_GOOD_SPEED, AS_GOOD_TIME = (
     9e-4,
@@ -86,7 +87,7 @@ def best_of_all(
 ) -> PlannedPaths | None:
     """The default's own plan (None where it was refused), or a simpler strategy's that is better. None where none is
     verified and there is no own one."""
-    if own is not None and not _leaves_to_be_desired(own, waypoints):
+    if own is not None and not _leaves_to_be_desired(own, waypoints, len(given.tasks)):
         return own
     verified = [own] if own is not None and own.verified else []
     for name, paths in _simpler_paths(given, own, waypoints):
@@ -99,11 +100,11 @@ def best_of_all(
     return _best(verified) if verified else own
 
 
-def _leaves_to_be_desired(own: PlannedPaths, waypoints: int) -> bool:
+def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool:
     if not own.verified:
         return True
     much = SOME_TRAVEL if waypoints <= TINY else TRAVEL_SHARE
-    return waypoints <= LARGE and (own.at_speed < AT_SPEED or _travel_share(own) > much)
+    return waypoints <= LARGE and beads <= MANY and (own.at_speed < AT_SPEED or _travel_share(own) > much)
 
 
 def _travel_share(own: PlannedPaths) -> float:

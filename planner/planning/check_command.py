@@ -24,8 +24,13 @@ from planner.problem.rewrite import paths_in
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
     from planner.toolpath.bead import Toolpath
+    from planner.toolpath.workload import Workload
 
 # Numba, Pinocchio and what reads files take most of a second to be imported: only once the problem itself is right.
+
+
+QUICK_WAYPOINTS = 50_000  # of a layer: rounded in some 3 s
+QUICK_BYTES = 20_000_000  # of G-code and waypoints: read in some 4 s
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,14 @@ class Examination:
     """What was found: the cell and the toolpath, as far as they could be made, and all mistakes.
 
     first_layer  the toolpath is that of the first layer alone
+    work         what there is to plan in all layers, as far as that is known
     """
 
     cell: Cell | None
     toolpath: Toolpath | None
     first_layer: bool
     mistakes: tuple[InputError, ...]
+    work: Workload | None = None
 
 
 def examine(problem: Problem, whole: bool = False) -> Examination:
@@ -57,24 +64,42 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
     quick = is_quick(problem)
     count = getattr(problem.layers, "count", 1)  # None: all that a file has
     first = quick and not whole and (count is None or count > 1)
-    toolpath = None
+    toolpath, work = None, None
+    if quick and not whole:
+        told = len(mistakes)
+        work = _tried(mistakes, lambda: _foreseen(problem))
+        quick = len(mistakes) == told and (work is None or work.waypoints <= QUICK_WAYPOINTS * work.layers)
     if quick or whole:
         toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))
+        if toolpath is not None and not first:
+            work = _work(toolpath)
         if cell is not None and toolpath is not None:
             _tried(mistakes, lambda: _check_cones(problem, cell, toolpath))
-    else:
+    elif not is_quick(problem):
         for keys, path in paths_in(problem):
             if keys[0] != "cell":  # whose files the cell has read
                 _tried(mistakes, partial(_read, problem, ".".join(map(str, keys)), path))
-    return Examination(cell, toolpath, first, tuple(mistakes))
+    return Examination(cell, toolpath, first and toolpath is not None, tuple(mistakes), work)
 
 
 def is_quick(problem: Problem) -> bool:
     """Whether one layer of a problem's toolpath is made in a fraction of a second."""
     layers, body = problem.layers, None if problem.part is None else problem.part.body
-    if isinstance(layers, (WaypointLayersSpec, GcodeLayersSpec, WrappedLayersSpec)):
+    if isinstance(layers, WaypointLayersSpec):
+        return _bytes(layers.source.waypoints) <= QUICK_BYTES
+    if isinstance(layers, GcodeLayersSpec):
+        return _bytes(layers.source.gcode) <= QUICK_BYTES
+    if isinstance(layers, WrappedLayersSpec):
         return True
     return isinstance(layers, ProjectedLayersSpec) and body not in ("mesh", "step")
+
+
+def _bytes(path: Path) -> int:
+    """The size of a file; 0 where it is not there, which is told by who reads it."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def one_layer(problem: Problem) -> Problem:
@@ -122,6 +147,18 @@ def _toolpath(problem: Problem) -> Toolpath:
     return toolpath
 
 
+def _foreseen(problem: Problem) -> Workload | None:
+    from planner.toolpath.foreseen import foreseen
+
+    return foreseen(problem)
+
+
+def _work(toolpath: Toolpath) -> Workload:
+    from planner.toolpath.workload import Workload
+
+    return Workload.of(toolpath)
+
+
 def _check_cones(problem: Problem, cell: Cell, toolpath: Toolpath) -> None:
     if problem.process.cones.bound_to_gravity:
         from planner.resolve.least_lean import check_cones
@@ -134,6 +171,8 @@ def _read(problem: Problem, field: str, path: Path) -> None:
     """Read one file that `layers` or `part` names. Raises InputError where it cannot be read."""
     where: Complaint = partial(problem.error, field)
     in_step = field.startswith("part.step") or isinstance(problem.layers, FaceLayersSpec)
+    if field.endswith((".waypoints", ".gcode")):
+        return  # too large to be read here
     if field.endswith("aerofoil"):
         from planner.toolpath.wing.section import read_section
 
@@ -196,8 +235,19 @@ def _run(options: argparse.Namespace) -> int:
         return _told(found.mistakes)
     from planner.problem.describe import lines_of
 
-    print("\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer)))
+    print("\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer, _expected(problem, found.work))))
     return EXIT_VERIFIED
+
+
+def _expected(problem: Problem, work: Workload | None) -> str | None:
+    """What there is to plan and what that takes, in words."""
+    if work is None:
+        return None
+    from planner.planning.estimate import estimate
+    from planner.planning.options import DEFAULT_DT
+
+    size = f"{work.waypoints:,} waypoint{'' if work.waypoints == 1 else 's'}"
+    return f"{size} in all; to plan them takes {estimate(work, problem.process.speed, DEFAULT_DT).words}"
 
 
 def _told(mistakes: Sequence[InputError]) -> int:

@@ -32,6 +32,7 @@ from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.distributed import sqp_over
+from planner.planning.estimate import TOLD_FROM, check_memory, estimate
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.joint_ends import nearer_to_ends, noted
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
@@ -52,6 +53,7 @@ from planner.resolve.sqp import refine_paths
 from planner.resolve.strategies import STRATEGIES, UNAWARE
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.workload import Workload
 from planner.verify.collision import check_start
 from planner.verify.verdict import Report, verify
 
@@ -97,7 +99,7 @@ def solve(
     terms           terms of your own that the refinement of strategy sqp weighs against the others, see `OwnTerm`
 
     The plan that comes back may have failed checks: see `Plan.verified`. Nothing is written: see `write`.
-    Raises InputError for wrong input, Refusal where there is no plan at all.
+    Raises InputError for wrong input and for what needs more memory than there is, Refusal where there is no plan at all.
     """
     problem = problem if isinstance(problem, Problem) else load(problem)
     tolerance = _tolerance(tolerance) if isinstance(tolerance, str) else tolerance
@@ -112,6 +114,11 @@ def solve(
         check_start(problem, cell)
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
+    work = Workload.of(toolpath)
+    expected = estimate(work, problem.process.speed, dt)
+    check_memory(problem, work, expected)
+    if expected.seconds >= TOLD_FROM:
+        stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")
     with stages.stage("obstacles"):
         pieces = problem.process.split_beads  # which are counted once it is known whether there are any
         given = context_of(problem, cell, toolpath, 0 if pieces else _within(first_bead, toolpath), own)

@@ -99,8 +99,13 @@ def columns(rows: Sequence[Sequence[str]], width: int | None) -> list[str]:
     return [line.rstrip() for line in lines]
 
 
-def lines_of(problem: Problem, cell: Cell, toolpath: Toolpath | None, first_layer: bool) -> list[str]:
-    """What `planner.check` prints of a problem without mistakes; the toolpath may be that of the first layer alone."""
+def lines_of(
+    problem: Problem, cell: Cell, toolpath: Toolpath | None, first_layer: bool, expected: str | None = None
+) -> list[str]:
+    """What `planner.check` prints of a problem without mistakes; the toolpath may be that of the first layer alone.
+
+    expected: what there is to plan and what that takes, in words
+    """
     rows = {
         "arm": _robot(cell.arm_robot.name, problem.cell.arm),
         "nozzle": _nozzle(problem),
@@ -109,6 +114,7 @@ def lines_of(problem: Problem, cell: Cell, toolpath: Toolpath | None, first_laye
         **({} if problem.part is None else {"part": words(problem.part)}),
         "layers": words(problem.layers),
         "beads": _beads(problem, toolpath, first_layer),
+        **({} if expected is None else {"planning": expected}),
         "process": _process(problem),
         "strategy": problem.strategy,
     }

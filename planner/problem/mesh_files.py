@@ -16,6 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints
+from planner.base.budgets import MESH_BYTES, MESH_FACETS
 from planner.base.errors import Complaint
 from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
@@ -24,9 +25,8 @@ from planner.problem.part import UNITS, MeshSpec
 if TYPE_CHECKING:
     import trimesh
 
-MOST_FACETS = 2_000_000  # read in 5 s with 1.5 GB as a binary STL file
+MOST_FACETS, LARGEST_FILE = MESH_FACETS.most, MESH_BYTES.most
 FARTHEST = 100_000.0  # mm from the origin: a hall
-LARGEST_FILE = 600_000_000  # bytes: so many as text
 SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf")
 SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of what is printed or printed on: else its unit is another one
 _LIKELY = (20.0, 2000.0)  # mm across: units that make it so are named

@@ -31,15 +31,14 @@ from ruamel.yaml.events import (
 )
 from ruamel.yaml.reader import ReaderError
 
+from planner.base.budgets import YAML_BYTES, YAML_DEPTH, YAML_VALUES
 from planner.base.errors import InputError, nearest_name
 from planner.base.shipped import PROBLEMS
 
 _PLAIN = re.compile(r"[A-Za-z_./-][A-Za-z0-9_./ -]*")
 _QUOTED_WORDS = {"true", "false", "null", "yes", "no", "on", "off"}
 
-LARGEST_FILE = 1_000_000  # bytes; a problem file is some 2 kB, its curves stand in files of their own
-MOST_VALUES = 20_000  # a problem has about 100; a long list would only keep the user waiting
-DEEPEST_NESTING = 20  # the problem's own fields go 5 deep
+LARGEST_FILE, MOST_VALUES, DEEPEST_NESTING = YAML_BYTES.most, YAML_VALUES.most, YAML_DEPTH.most
 LONGEST_NUMBER = 300  # digits; beyond, an integer is read as a float, that is as infinite
 Keys = tuple[str | int, ...]
 Complaint = Callable[[str, int | None, str | None], InputError]  # reason, line, hint → the error with its place

@@ -25,6 +25,7 @@ from planner.toolpath.plane_paths import (
 )
 from planner.toolpath.substrate.clipping import Clipped
 from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.workload import check_curves
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
         raise problem.error("part", "is missing", "the body to wrap around: cylinder")
     process = problem.process
     cylinder = Cylinder(part.cylinder.radius, part.cylinder.height, np.asarray(part.cylinder.centre))
-    told: tuple[str, ...] = ()
-    if isinstance(spec.source, DxfSpec):
-        where = partial(problem.error, "layers.source.dxf")
-        paths, told = read_dxf(spec.source, process.chord_tolerance, where)
-    else:
-        paths = read_svg(spec.source.svg, spec.source.width, process.chord_tolerance)
+    paths, told = drawn_paths(problem, spec)
     _check_fit(problem, paths, cylinder)
 
     # On the outermost layer x is longest. Rounded in that layer's own metric once, all layers hold the
@@ -106,6 +102,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
     clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
     if clipped.share > spec.source.crumbs or not clipped.paths:
         raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
+    check_curves(problem, [path.points for path in clipped.paths], spec.count, "layers.source.width_mm")
     curves = []
     for path in clipped.paths:
         curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
@@ -121,6 +118,14 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
     specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
     return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks)
+
+
+def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
+    """The paths of a drawing, and what is told of its file. Raises InputError for one that cannot be read."""
+    tolerance = problem.process.chord_tolerance
+    if isinstance(spec.source, DxfSpec):
+        return read_dxf(spec.source, tolerance, partial(problem.error, "layers.source.dxf"))
+    return read_svg(spec.source.svg, spec.source.width, tolerance), ()
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

@@ -17,21 +17,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.budgets import DRAWING_POINTS, DXF_BYTES, DXF_DEPTH, DXF_ENTITIES
 from planner.base.errors import Complaint, nearest_name
 from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
 from planner.problem.drawings import NARROWEST_MM, WIDEST_MM, DxfSpec
 from planner.problem.part import UNITS
 from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
-from planner.toolpath.svg.document import MAX_ELEMENTS, MAX_POINTS
 from planner.toolpath.svg.outlines import SAME_POINT, PlanePath, distinct
 
-LARGEST_FILE = 50_000_000  # bytes: read in about a minute
 _BINARY = b"AutoCAD Binary DXF"
 _DWG = re.compile(rb"AC10\d\d")
 _START = re.compile(rb"\s*(?:999\s[^\n]*\n\s*)*0\s*[\r\n]+\s*SECTION", re.IGNORECASE)
 _END = re.compile(rb"^\s*EOF\s*$", re.MULTILINE)
-_DEEPEST = 16  # blocks within blocks
 _UNDRAWN = (ValueError, ZeroDivisionError, TypeError, AttributeError)  # of an entity that lacks what it is drawn by
 _COARSE = 1e-3  # of the drawing's extent: chords by which it is measured at first
 _SPANS = 8  # pieces of a spline between knots that are looked at
@@ -116,7 +114,7 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
 
 def read_drawing(path: Any, where: Complaint) -> Any:
     """The document of a file, whose errors are mended where they can be. Raises InputError where it is no DXF file."""
-    data = read_bytes(path, LARGEST_FILE, where, "save it without what is not printed")
+    data = read_bytes(path, DXF_BYTES.most, where, "save it without what is not printed")
     name = path.name
     if _DWG.match(data):
         raise where(f"{name} is a DWG file", hint="save it as DXF")
@@ -161,7 +159,8 @@ def _walked(document: Any, spec: DxfSpec, where: Complaint) -> _Found:
     found = _Found()
     known = {layer.dxf.name.lower(): layer for layer in document.layers}
     wanted = None if spec.layers is None else {name.lower() for name in spec.layers}
-    shown = list(_parts(document.modelspace(), "0", 0, found.others))
+    visits = _Visits(spec.dxf.name, where)
+    shown = list(_parts(document.modelspace(), "0", 0, found.others, visits))
     used = {layer.lower(): layer for _, layer in shown} | {name: layer.dxf.name for name, layer in known.items()}
     for name in spec.layers or ():
         if name.lower() not in used:
@@ -184,19 +183,34 @@ def _walked(document: Any, spec: DxfSpec, where: Complaint) -> _Found:
             _straighten(entity)
             handle = entity.dxf.get("handle") or str(len(found.lines) + 1)
             found.lines.append((entity, f"{kind.lower()} {handle}", layer))
-            if len(found.lines) > MAX_ELEMENTS:
-                raise where(f"{spec.dxf.name} draws more than {MAX_ELEMENTS} lines", hint="choose layers of it")
     return found
 
 
-def _parts(entities: Iterable[Any], layer: str, depth: int, others: Counter[str]) -> Iterator[tuple[Any, str]]:
+class _Visits:
+    """Counts entities as they are met: of blocks within blocks nobody knows how many they are before."""
+
+    def __init__(self, name: str, where: Complaint) -> None:
+        self.name, self.where, self.count = name, where, 0
+
+    def one_more(self) -> None:
+        """Raises InputError for one too many."""
+        self.count += 1
+        DXF_ENTITIES.check(
+            self.count, f"{self.name}, its blocks taken apart, has at least", self.where, "save it with fewer blocks"
+        )
+
+
+def _parts(
+    entities: Iterable[Any], layer: str, depth: int, others: Counter[str], visits: _Visits
+) -> Iterator[tuple[Any, str]]:
     """Entities and the layer that each is drawn on; blocks taken apart, in which layer 0 is that of the reference."""
     for entity in entities:
+        visits.one_more()
         own = str(entity.dxf.get("layer", "0"))
         own = layer if depth and own == "0" else own
         if entity.dxftype() != "INSERT":
             yield entity, own
-        elif depth >= _DEEPEST or entity.block() is None:
+        elif depth >= DXF_DEPTH.most or entity.block() is None:
             others["INSERT without its block" if entity.block() is None else "INSERT nested too deeply"] += 1
         else:
 
@@ -204,6 +218,7 @@ def _parts(entities: Iterable[Any], layer: str, depth: int, others: Counter[str]
                 others[f"{part.dxftype()} in a block"] += 1
 
             for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
+                visits.one_more()
                 if one.dxf.get("zscale", 1.0) == 0.0:
                     one.dxf.zscale = 1.0  # some programs flatten blocks so, and ezdxf cannot turn what has no height
                 try:
@@ -211,7 +226,7 @@ def _parts(entities: Iterable[Any], layer: str, depth: int, others: Counter[str]
                 except _UNDRAWN:
                     others["INSERT without size"] += 1
                     continue
-                yield from _parts(inner, own, depth + 1, others)
+                yield from _parts(inner, own, depth + 1, others, visits)
 
 
 def _told(found: _Found, spec: DxfSpec) -> list[str]:
@@ -264,7 +279,7 @@ def _measured(found: _Found, where: Complaint, spec: DxfSpec) -> float:
 
 def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> tuple[list[DrawnLine], Array]:
     """The lines, chords at most `chord` off them, and the heights of all their vertices; all in the drawing's units."""
-    lines, heights, room = [], [], MAX_POINTS
+    lines, heights, room = [], [], DRAWING_POINTS.most
     for entity, name, layer in found.lines:
         try:
             points = np.array([(p.x, p.y, p.z) for p in _vertices(entity, chord)], dtype=float)
@@ -277,7 +292,8 @@ def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> 
         room -= len(points)
         if room < 0:
             raise where(
-                f"{spec.dxf.name} has more than {MAX_POINTS} points", hint="use a larger tolerance, or layers of it"
+                f"{spec.dxf.name} has more than {DRAWING_POINTS.most} points",
+                hint="use a larger tolerance, or layers of it",
             )
         closed = len(points) > 2 and bool(
             np.abs(points[0] - points[-1]).max() <= _FLAT * max(1.0, np.abs(points).max())

@@ -21,6 +21,7 @@ from planner.toolpath.gcode.reader import GcodeFile, read_gcode
 from planner.toolpath.gcode.threads import SIZES, ChosenThreads, PrintedThread, choose
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
+from planner.toolpath.workload import check_threads, longest
 
 VOLUMETRIC = 1e-6  # m^2: of a filament whose millimetres are cubic ones
 _SHRUNK = 0.8  # of its length that a path keeps when it is rounded: else it is rounded less
@@ -100,9 +101,11 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     Raises InputError for a file that cannot be read, and for what cannot be printed as level layers.
     """
     process, source = problem.process, spec.source
-    read = read_gcode(source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"))
+    most = longest(problem) if spec.count is None else np.inf
+    read = read_gcode(source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"), most)
     chosen = choose(problem, spec, read)
     origin = np.asarray(source.origin)
+    check_threads(problem, [step.thread.length for step in chosen.steps], [step.layer for step in chosen.steps])
     check_sizes(problem, spec, read, chosen)  # of all layers, before any is laid
     filament = _filament(problem, spec, read)
     file, materials = source.gcode, _materials(problem, spec, chosen.steps)

@@ -19,14 +19,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.budgets import GCODE_BYTES, GCODE_MOVES
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_bytes
 from planner.toolpath.gcode import marks
 from planner.toolpath.gcode.arcs import NoArc, arc_by_centre, centre_by_radius
 from planner.toolpath.gcode.marks import NUMBER, OWN, PURGE
 
-LARGEST_FILE = 200_000_000  # bytes: some six million moves
+LARGEST_FILE = GCODE_BYTES.most
 FARTHEST = 100.0  # m: a hall
+_MORE = 1.25  # times the length that can be planned, after which the rest of a file is not read
 _LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
@@ -97,19 +99,22 @@ class GcodeFile:
     flow: float
 
 
-def read_gcode(path: Path, chord_tolerance: float, where: Complaint | None = None) -> GcodeFile:
+def read_gcode(
+    path: Path, chord_tolerance: float, where: Complaint | None = None, longest: float = math.inf
+) -> GcodeFile:
     """Read a file of G-code; arcs become chords that leave them by at most `chord_tolerance` [m].
 
     Read are moves (G0 to G3), units (G20, G21), absolute and relative coordinates (G90, G91, M82, M83), G92, tools and
     M200. Where slicers mark layers in comments, the printer's own lines before the first and after the last are left out,
     whatever they are. Other commands are passed over and counted. A packed file of Bambu Studio (3MF) is unpacked.
     `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
-    Raises InputError with file and line for a line that cannot be read, or that a level print has no place for.
+    Raises InputError with file and line for a line that cannot be read, that a level print has no place for, or from which on
+    a quarter more than `longest` [m], that can be planned, is extruded: some may be left out.
     """
     complain = partial(InputError, file=path) if where is None else where
     text = text_of(path, complain)
     first = 0 if marks.marked(text) else marks.start_ends(text)
-    machine = _Machine(path, chord_tolerance, text, first)
+    machine = _Machine(path, chord_tolerance, text, first, longest)
     for number, line in enumerate(_lines(text), 1):
         machine.read(number, line)
     machine.close()
@@ -184,10 +189,11 @@ def _lines(text: str) -> Iterator[str]:
 class _Machine:
     """A printer that follows the lines: where it is, and what it has extruded."""
 
-    def __init__(self, path: Path, chord_tolerance: float, text: str, first: int) -> None:
+    def __init__(self, path: Path, chord_tolerance: float, text: str, first: int, longest: float) -> None:
         self.wrong: Complaint = partial(InputError, file=path)
         self.chord_tolerance = chord_tolerance
         self.marked = marks.marked(text)
+        self.moves, self.length, self.longest = 0, 0.0, longest
         self.first = first  # line from which on all is the print's, in a file without marks
         self.printing = not self.marked and first == 0
         self.ended = False
@@ -517,12 +523,31 @@ class _Machine:
             slow, fast = self.speeds
             if self.speed < slow or self.speed > fast:
                 self.speeds = min(slow, self.speed), max(fast, self.speed)
+        self.moves += 1
+        self.length += math.hypot(x - x0, y - y0)
+        if self.moves > GCODE_MOVES.most or self.length > _MORE * self.longest:
+            raise self._too_much()
         if not self.marked and z - z0 > _LEVEL:
             self._close_level()
         if not self._x:
             self._x, self._y, self._z = [x0], [y0], [z0]
             self._kind, self._share = self.kind, self.share
         return True
+
+    def _too_much(self) -> InputError:
+        """The print is longer than can be planned: what comes before this line fits, layer by layer."""
+        if self.moves > GCODE_MOVES.most:
+            return GCODE_MOVES.refusal(self.moves, "up to here there are", self._wrong, "print it in several files")
+        self.close()
+        lengths: dict[int, float] = {}
+        for thread in self.threads:
+            level = round(thread.z / _LEVEL)
+            lengths[level] = lengths.get(level, 0.0) + thread.length
+        fits = int(np.searchsorted(np.cumsum([lengths[z] for z in sorted(lengths)]), self.longest, side="right"))
+        return self._wrong(
+            f"up to here {self.length:.3g} m are extruded in {len(lengths):,} layers; {self.longest:.3g} m can be planned",
+            f"what would fit: {f'layers.count: {fits}' if fits else 'a smaller part'}, or a greater process.corner_tolerance_mm",
+        )
 
     def close(self) -> None:
         """End what is being extruded."""

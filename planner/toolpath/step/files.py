@@ -19,6 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.budgets import STEP_BYTES
 from planner.base.errors import Complaint
 from planner.base.files import read_bytes
 from planner.problem.part import StepSpec
@@ -27,7 +28,7 @@ from planner.toolpath.step.splines import SplineSet, SplineSurface
 Wanted = Sequence[int | str] | str
 _SHOWN = 12  # names of faces in a message
 
-LARGEST_FILE = 100_000_000  # bytes
+LARGEST_FILE = STEP_BYTES.most
 FARTHEST = 100.0  # m from the origin: a hall
 _WIDEST = 1e9  # of a surface's domain: files count in millimetres, radians, or from 0 to 1
 LONGEST = 300  # s that a file may take

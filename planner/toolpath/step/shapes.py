@@ -16,9 +16,10 @@ from OCP.TopAbs import TopAbs_ShapeEnum
 from OCP.TopExp import TopExp
 from OCP.TopoDS import TopoDS
 
+from planner.base.budgets import STEP_FACES
 from planner.toolpath.step.files import Damaged, is_iges
 
-MOST_FACES = 5000  # read and converted in some 20 s
+MOST_FACES = STEP_FACES.most
 REPAIR = "repair it in a CAD program, and export it anew"
 _WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
 _SHOWN = 6  # entities in a sentence

@@ -70,6 +70,7 @@ from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, P
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
+from planner.toolpath.workload import check_curves
 
 _ASIDE = 1e-5  # m, to either side, for the slope of what a plane point is mapped to
 
@@ -198,7 +199,7 @@ def project_curves(
             with suppress(InputError, TooMuchCut):
                 needed = _plane_curves(problem, spec, 1.0)[1].share
         if error.rough is None:
-            raise error.clipped.refusal(problem, _size_key(spec.source), needed) from None
+            raise error.clipped.refusal(problem, size_key(spec.source), needed) from None
         cut = "" if needed is None else f"; layers.source.leave_out_share: {share_words(needed)} cuts the curves there"
         raise _too_rough(error.rough, partial(problem.error, "part.mesh.file"), cut) from None
     bead, body = problem.process.bead, substrate.body
@@ -229,6 +230,7 @@ def _plane_curves(
     paths, told = paths_and_notes(problem, source)
     clipped = replace(Clipped.of([placed(path, spec) for path in paths], width), told=told)
     clipped.check(most)
+    check_curves(problem, [path.points for path in clipped.paths], spec.count, size_key(source))
     body, clipped = _body(problem, part, clipped, most)
     substrate = Substrate(body, spec.height, spec.offset == "z")
     clipped = clipped.without(_bends(substrate, spec.count), width)
@@ -243,7 +245,7 @@ def _plane_curves(
         if length(path.points) < SHORTEST * width and length(curve.points) < width:
             cuts.append(Cut(path.name, SHORT, path.points))
             continue
-        hint = f"choose a smaller tolerance, or a greater {_size_key(source)}"
+        hint = f"choose a smaller tolerance, or a greater {size_key(source)}"
         check_size(problem, path.name, length(path.points), length(curve.points), hint)
         up = body.upward(curve.points)
         reasons = np.where(np.isnan(up), OFF, np.where(up < least, STEEP, FITS))
@@ -268,7 +270,8 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
 
 
-def _size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> str:
+def size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> str:
+    """The field that says how large plane curves are."""
     if isinstance(source, CurvesSpec):
         return "layers.source.curves"
     return "layers.source.width_mm" if isinstance(source, (SvgSpec, DxfSpec)) else "layers.source.size_mm"

@@ -14,11 +14,13 @@ import shapely
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.base.budgets import SVG_CROSSINGS, SVG_WINDINGS
 from planner.toolpath.svg.document import BLACK, MAX_POINTS, OPAQUE
 from planner.toolpath.svg.drawing import Outline, Region
 from planner.toolpath.svg.shapes import OutlinePiece
 
 _LEAST_OF_AREA = 3  # vertices: two points are a line, whatever it is filled with
+_COUNTED = 100  # chords whose crossings with all others are counted
 _COARSE = 1e-4  # of the drawing's size: tolerance with which the size of what is left is found
 
 
@@ -142,10 +144,24 @@ def _area(first: Outline, lines: list[Array], rule: str) -> shapely.Geometry:
     rings = [np.vstack([line, line[:1]]) for line in lines if len(line) >= _LEAST_OF_AREA]
     if not rings:
         return shapely.Polygon()
+    hint = "apply the clip path or mask in the drawing program"
+    SVG_CROSSINGS.check(_crossings(rings), "where it is cut it has about", first.node.error, hint)
     faces = shapely.get_parts(shapely.polygonize([shapely.union_all(_lines(rings))]))
+    looks = len(faces) * sum(len(ring) for ring in rings)
+    SVG_WINDINGS.check(looks, "where it is cut it needs", first.node.error, hint)
     windings = _windings(rings, shapely.get_coordinates(shapely.point_on_surface(faces)))
     inside = windings % 2 == 1 if _paint(first).get(rule) == "evenodd" else windings != 0
     return shapely.union_all(faces[inside])
+
+
+def _crossings(rings: list[Array]) -> float:
+    """About how often the chords of rings cross, or at least come near each other: of some of them it is counted."""
+    ends = np.vstack([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])
+    low, high = ends.min(axis=1), ends.max(axis=1)
+    some = np.linspace(0, len(ends) - 1, min(_COUNTED, len(ends))).astype(int)
+    near = [int(((low <= high[k]) & (high >= low[k])).all(axis=1).sum()) for k in some]
+    beside = 3  # itself and its two neighbours
+    return max(float(np.mean(near)) - beside, 0.0) * len(ends) / 2.0
 
 
 def _lines(lines: list[Array]) -> shapely.Geometry:

@@ -17,12 +17,12 @@ from xml.parsers import expat
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.budgets import DRAWING_POINTS, SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS
 from planner.base.errors import InputError, nearest_name
 
-MAX_BYTES = 20_000_000
-MAX_ELEMENTS = 100_000  # in the file, and again once every <use> is followed
-MAX_DEPTH = 100
-MAX_POINTS = 1_000_000
+MAX_BYTES, MAX_ELEMENTS, MAX_DEPTH, MAX_POINTS = (
+    limit.most for limit in (SVG_BYTES, SVG_ELEMENTS, SVG_DEPTH, DRAWING_POINTS)
+)
 MAX_COORDINATE = 1e7  # user units
 SVG, XLINK_HREF = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink href"
 SHAPES = {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon"}

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.budgets import SVG_MATCHES, SVG_SEGMENTS
 from planner.base.errors import InputError, nearest_name
 from planner.toolpath.svg.document import (
     BLACK,
@@ -97,12 +98,15 @@ class Drawing:
     def __init__(self, root: Node) -> None:
         self._root = root
         self._drawn: list[Outline] = []
-        self._elements = self._points = self._shapes = 0
+        self._elements = self._points = self._shapes = self._segments = 0
         self._subpaths: dict[int, list[Subpath]] = {}
         self._counts: dict[int, int] = {}
         self._ids: dict[str, list[Node]] = {}
         self._rules: list[Rule] = []
         self._parents: dict[int, Node] = {}
+        nodes = [root]
+        for node in nodes:
+            nodes += node.children
         waiting = [root]
         while waiting:
             node = waiting.pop()
@@ -112,6 +116,8 @@ class Drawing:
                 self._ids.setdefault(node.id, []).append(node)
             if node.tag == "style":
                 self._rules += style_rules(node, len(self._rules))
+                hint = "write styles as attributes, or leave out rules"
+                SVG_MATCHES.check(len(nodes) * len(self._rules), "its rules need", node.error, hint)
 
     def outlines(self) -> list[Outline]:
         """Return every visible subpath in drawing order."""
@@ -252,7 +258,10 @@ class Drawing:
     def _add(self, node: Node, place: ElementContext) -> None:
         """Add the subpaths of a shape."""
         if id(node) not in self._subpaths:
-            self._subpaths[id(node)] = subpaths_of(node)
+            self._subpaths[id(node)] = found = subpaths_of(node)
+            self._segments += sum(len(p.points) if p.kind == "lines" else 1 for pieces, _ in found for p in pieces)
+            hint = "draw it in several files"
+            SVG_SEGMENTS.check(self._segments, "up to here there are", node.error, hint)
         subpaths = self._subpaths[id(node)]
         self._points += sum(len(piece.points) for pieces, _ in subpaths for piece in pieces)
         if self._points > 4 * MAX_POINTS:  # controls included; the points themselves are counted once the size is known

@@ -14,6 +14,7 @@ import numpy as np
 import svgelements
 
 from planner.base.arrays import Array
+from planner.base.budgets import SVG_SEGMENTS
 from planner.toolpath.svg.document import COMMA, MAX_COORDINATE, MAX_POINTS, NUMBER, SPACE, Node
 
 NUMBER_COUNTS = {"M": 2, "L": 2, "T": 2, "H": 1, "V": 1, "C": 6, "S": 4, "Q": 4}
@@ -155,8 +156,7 @@ def path_commands(node: Node) -> tuple[str, str]:
             if not all(abs(float(number)) <= MAX_COORDINATE for number in group.groups()):
                 raise node.error(f"path data goes beyond {MAX_COORDINATE:g} user units: {group[0][:40]!r}")
         letters += [letter] + ["L" if letter == "M" else letter] * (count - 1)
-        if len(letters) > MAX_POINTS:
-            raise node.error(f"it has more than {MAX_POINTS} segments")
+        SVG_SEGMENTS.check(len(letters), "from here on it has", node.error, "draw it in several files")
         at = end
     return "".join(letters), re.sub(r"([0-9]\.)(?![0-9])", r"\g<1>0", data)  # svgelements does not know "1."
 

@@ -28,6 +28,7 @@ from planner.toolpath.substrate.mesh_top import MeshTop, TooRoughMesh, reach_bes
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.volume.sections import Heights, Morph, MorphedLayers, NotClosed, Solid, TooFine, polygons
+from planner.toolpath.workload import check_length
 
 _GUIDE_GRID = 120  # places along the body's longer side at which its surfaces are looked at
 _REACH = 2.0  # bead widths beside the body within which its surfaces count
@@ -372,12 +373,19 @@ def _check_tilt(
             )
 
 
+def _foreseen(spec: VolumeLayersSpec, regions: Sequence[shapely.MultiPolygon], width: float) -> float:
+    """About how long walls and infill will be [m]."""
+    walls_of = sum(min(spec.perimeters * region.length, region.area / width) for region in regions)
+    return float(walls_of + spec.infill.density * sum(region.area / width for region in regions))
+
+
 def _layer_rows(
     problem: Problem, spec: VolumeLayersSpec, morph: Morph, regions: Sequence[shapely.MultiPolygon]
 ) -> tuple[list[list[_Line]], list[list[PlanePath]]]:
     """The rounded paths of each layer in print order, none where it is too narrow, and those that are too short."""
     process = problem.process
     width, shortest = process.bead.width, _SHORTEST * process.bead.width
+    check_length(problem, _foreseen(spec, regions, width), len(regions))
     lines_of = spec.infill.material or ""
     apart = lines_of not in ("", spec.material or next(iter(process.materials), ""))
     rows: list[list[_Line]] = []

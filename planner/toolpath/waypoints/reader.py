@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.budgets import WAYPOINT_BYTES, WAYPOINTS
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
 from planner.base.geometry import arc_lengths
@@ -28,7 +29,7 @@ from planner.problem.layers import WaypointsSpec
 NEEDED = ("x", "y", "z", "nx", "ny", "nz")
 OPTIONAL = ("layer", "bead", "width", "height")
 LENGTHS = ("x", "y", "z", "width", "height")
-LARGEST_FILE = 500_000_000  # bytes: some five million waypoints
+LARGEST_FILE = WAYPOINT_BYTES.most
 COMMENTS = ("#", "//", "%", ";")
 _OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
 _NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
@@ -49,6 +50,7 @@ _OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
 _SHORTEST_NORMAL = 1e-6
+_FEWER = "thin them out, or print the part in several files"
 _SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 
@@ -151,6 +153,7 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     layout, numbers = _layout(path, lines, unit)
     if not numbers:
         raise complain(f"{path.name} holds no waypoints", hint="lines x y z nx ny nz, in mm")
+    WAYPOINTS.check(len(numbers), f"{path.name} has", complain, _FEWER)
     rows = [lines[i - 1] for i in numbers]
     if layout.separator is None:
         rows = [row.replace(",", " ") for row in rows]
@@ -271,6 +274,7 @@ def _arrays(path: Path, data: bytes, unit: str, complain: Complaint) -> Columns:
             raise complain(f"array {name} has {size} numbers, x has {sizes['x']}", hint="one for each waypoint")
     if sizes["x"] == 0:
         raise complain(f"{path.name} holds no waypoints", hint=hint)
+    WAYPOINTS.check(sizes["x"], f"{path.name} has", complain, _FEWER)
     return Columns(values, np.arange(1, sizes["x"] + 1, dtype=np.int64), unused)
 
 

@@ -143,16 +143,18 @@ def nearest_printed(
     first: index of each bead's first point; known: distances and indices of what is nearer otherwise, FAR at most.
     """
     best, nearest = known
-    start, left = 0, printed
-    for size in sorted({size for size, _ in trees}, reverse=True):
-        if left >= size:  # the printed beads are one block for each binary digit of their number
+    start = 0
+    for digit in reversed(range(printed.bit_length())):
+        size = 1 << digit
+        if printed & size:  # the printed beads are one block for each binary digit of their number
             distance, index = trees[size, start // size].query(
                 points, distance_upper_bound=FAR, workers=workers_for(points)
             )
             closer = distance < best
-            best = np.where(closer, distance, best)
-            nearest = np.where(closer, index + first[start], nearest)  # none closer: none found
-            start, left = start + size, left - size
+            if closer.any():  # none closer: none found
+                best = np.where(closer, distance, best)
+                nearest = np.where(closer, index + first[start], nearest)
+            start += size
     return best, nearest
 
 

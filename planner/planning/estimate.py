@@ -1,0 +1,58 @@
+"""How long planning will take and how much memory, told before it begins; what needs more than there is, is refused.
+
+The model is linear in what there is to plan. Its rates were fitted to the runs of `benchmarks/results` by the default strategy
+on two cores, with all files written; `python -m benchmarks.budgets --model` holds it against them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+from planner.base.memory import memory
+from planner.problem import Problem
+from planner.toolpath.workload import Workload, fewer
+
+# seconds: what a run takes in any case, for each waypoint, sample and bead
+_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD = 0.9, 1.0e-4, 5.0e-5, 1.0e-2
+# bytes: the same, and for each ball that stands for the print as an obstacle
+_BYTES, _WAYPOINT, _SAMPLE, _BALL = 470e6, 0.9e3, 0.6e3, 0.4e3
+_TRAVEL = 0.4  # s of the print between two beads
+_AROUND = 5.0  # s of it from home and back
+TOLD_FROM = 20.0  # s: who waits so long wants to know it
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Time [s] and memory [bytes] that planning takes, about."""
+
+    seconds: float
+    bytes: float
+
+    @property
+    def words(self) -> str:
+        """For the user."""
+        minutes = self.seconds / 60.0
+        time = f"{self.seconds:.0f} s" if minutes < 2.0 else f"{minutes:.0f} min"
+        return f"about {time} and {self.bytes / 1e9:.1f} GB on two free cores"
+
+
+def estimate(work: Workload, speed: float, dt: float) -> Estimate:
+    """What planning takes, about; speed [m/s] of the print, dt [s] between samples."""
+    samples = (work.length / speed + _TRAVEL * work.beads + _AROUND) / dt
+    return Estimate(
+        _SECONDS + _PER_WAYPOINT * work.waypoints + _PER_SAMPLE * samples + _PER_BEAD * work.beads,
+        _BYTES + _WAYPOINT * work.waypoints + _SAMPLE * samples + _BALL * work.balls,
+    )
+
+
+def check_memory(problem: Problem, work: Workload, expected: Estimate) -> None:
+    """Raise InputError for what needs more memory than there is, with what would fit."""
+    there = memory()
+    if expected.bytes <= there:
+        return
+    share = (there - _BYTES) / (expected.bytes - _BYTES)
+    complain = partial(problem.error, "layers")
+    reason = f"{work.waypoints:,} waypoints in {work.beads:,} beads need about {expected.bytes / 1e9:.1f} GB"
+    fits = fewer(work, share) if share > 0.0 else "nothing"
+    raise complain(f"{reason}, and {there / 1e9:.1f} GB are there", f"what would fit: {fits}, or a greater dt")
