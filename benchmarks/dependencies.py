@@ -283,6 +283,8 @@ def advisories(locks: Sequence[str], audit: Sequence[str]) -> int:
     reached."""
     command = [*audit, "--no-deps", "--disable-pip", "--progress-spinner", "off", "--format", "json"]
     for lock in locks:
+        if not (ROOT / lock).is_file():
+            raise InputError(f"no lock file {lock}", hint=f"one of: {', '.join(PURPOSES)}")
         command += ["--requirement", str(ROOT / lock)]
     try:
         done = subprocess.run(command, capture_output=True, text=True)
@@ -318,7 +320,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "locks", nargs="*", default=[RUNNING, TESTING], metavar="LOCK", help="of advisories (default: the first two)"
     )
-    options = parser.parse_args(arguments)
+    options = parser.parse_intermixed_args(arguments)
     return exit_code(lambda: _run(options), lambda text: print(text, file=sys.stderr))
 
 

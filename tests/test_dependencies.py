@@ -155,3 +155,8 @@ def test_advisories(tmp_path: Path, capsys: pytest.CaptureFixture[str], told: ob
 def test_without_pip_audit_the_way_to_it_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert dependencies.main(["advisories", "--audit", str(tmp_path / "none")]) == 2
     assert "make advisories" in capsys.readouterr().err
+
+
+def test_a_lock_that_is_not_there_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert dependencies.main(["advisories", "--audit", answers(tmp_path, [SOUND]), "none.txt"]) == 2
+    assert "no lock file none.txt" in capsys.readouterr().err
