@@ -408,7 +408,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     pose_of(path.frames[i], path.tip[i], T[1])
     mul4(T[0], T[1], T[2])
     flange_pose(arm.T_base_world, arm.T_nozzle_flange, T[2], np.array((0.0, 0.0, 1.0)), roll, room.R, T[3], T[4], T[5])
-    solve_one(arm.kind, arm.parameters, given[: max(n_given, 1)], T[5][:3, :3], T[5][:3, 3], room.postures, room.ok)
+    solve_one(arm.kind, arm.solver, arm.parameters, given[: max(n_given, 1)], T[5], room.postures, room.ok)
     tip = T[2][:3, 3]
     X, X1, Z = np.empty(6), np.empty(6), np.zeros(6)
     twist, rate = path.twist[i], path.rate[i]
