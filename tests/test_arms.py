@@ -17,7 +17,15 @@ from planner.base.errors import InputError, Refusal
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.kinematics.chain import Chain, refine
-from planner.cell.kinematics.inverse import Corrected, InverseKinematics, kind_of, solve_one, solver_of, track, with_rest
+from planner.cell.kinematics.inverse import (
+    Corrected,
+    InverseKinematics,
+    kind_of,
+    solve_one,
+    solver_of,
+    track,
+    with_rest,
+)
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.robot import Robot, chain_of, read_robot, robot_names

@@ -107,8 +107,8 @@ class RobotProgram:
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
     arcs                       (m, 3) of linear moves that are arcs, a point on the way [m]; NaN for all others, None for no arcs
-    arc_postures               (m, 14) what else is said of these points, and no controller looks at: quaternion x y z w, cf1, cf4,
-                               cf6, cfx, and station axes [rad]; None where a language does not have it
+    arc_postures               (m, 14) what else is said of these points: quaternion x y z w, cf1, cf4, cf6, cfx, and station axes
+                               [rad]; None where a language does not have it
     joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first

@@ -108,7 +108,14 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort are not
     above floor, sigma stays 0.
     """
-    kind, solver, q_min, q_max, v_max, a_max = arm.kind, arm.solver, limits.q_min, limits.q_max, limits.v_max, limits.a_max
+    kind, solver, q_min, q_max, v_max, a_max = (
+        arm.kind,
+        arm.solver,
+        limits.q_min,
+        limits.q_max,
+        limits.v_max,
+        limits.a_max,
+    )
     comfort, floor, q_out, terms = asked.comfort, asked.floor, out.q, out.terms
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)

@@ -335,9 +335,7 @@ def solver_of(inverse: InverseKinematics) -> Solver:
 
 
 @njit(cache=True)
-def solve_one(
-    kind: int, solver: Solver, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
-) -> None:
+def solve_one(kind: int, solver: Solver, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (B, n) and ok (B) with the postures for one flange pose T (4, 4); B: `branches_of`.
 
     kind, solver, p  of the arm: `kind_of`, `solver_of`, `parameters`
