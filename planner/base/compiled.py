@@ -15,11 +15,12 @@ from typing import Any
 import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import event, sigutils, types
+from numba import carray as np_carray  # type: ignore[attr-defined]
+from numba.core import errors, event, sigutils, types
 from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
-array_at = numba.carray  # in a kernel: the array of a shape at a pointer, in C's order
+array_at: Any = np_carray  # in a kernel: the array of a shape at a pointer, in C's order
 
 SECONDS_A_KERNEL = 0.5  # of compiling, on two cores of a server of 2024: some 250 kernels take two minutes
 WORTH_TELLING = 10  # kernels: fewer are there in a few seconds
@@ -35,7 +36,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         try:
-            kernel = numba.njit(**options)(function)
+            kernel = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)  # nobody calls one from C
             if options.get("cache"):
                 _stamp(kernel)
             return kernel
@@ -43,7 +44,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             if "no locator available" not in str(error):
                 raise
             _tell_once()
-            return numba.njit(**{**options, "cache": False})(function)
+            return numba.njit(**{"no_cfunc_wrapper": True, **options, "cache": False})(function)
 
     return decorate
 
@@ -83,7 +84,9 @@ def _stamp_of(function: Any) -> str:
 def address_of(function: Callable[..., None], signature: str) -> int:
     """The address in this process of a function compiled for C, whose signature is of numbers and pointers, as in
     `void(CPointer(float64), int64)`; what it is made of is cached as of `njit`. Not to be handed to other processes."""
-    compiled = CFunc(function, sigutils.normalize_signature(signature), locals={}, options={"error_model": "numpy"})
+    compiled: Any = CFunc(
+        function, sigutils.normalize_signature(signature), locals={}, options={"error_model": "numpy"}
+    )
     try:
         compiled.enable_caching()
         compiled._cache._cache_file._source_stamp = _stamp_of(function)  # numba has no public way
@@ -96,15 +99,14 @@ def address_of(function: Callable[..., None], signature: str) -> int:
     return int(compiled.address)
 
 
-_held: list[CFunc] = []  # their code goes with them
+_held: list[Any] = []  # their code goes with them
 
 
-@intrinsic
-def call_at(typing: Any, address: Any, arguments: Any) -> Any:
+def _call_at(typing: Any, address: Any, arguments: Any) -> Any:
     """In a kernel: call the function at an address with a tuple of numbers, and of arrays in C's order, which it gets as
     pointers to their first numbers."""
     if any(isinstance(each, types.Array) and each.layout != "C" for each in arguments):
-        raise numba.TypingError("arrays behind an address have to be in C's order")
+        raise errors.TypingError("arrays behind an address have to be in C's order")
 
     def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         handed = []
@@ -118,6 +120,9 @@ def call_at(typing: Any, address: Any, arguments: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.intp, arguments), lower
+
+
+call_at: Any = intrinsic(_call_at)
 
 
 # ----------------------------------------------------------------------------------------------------

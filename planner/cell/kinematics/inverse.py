@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -394,27 +394,27 @@ _solve_spherical, _solve_offset, _solve_seven, _solve_placed, _solve_skew = (
 _CLOSED, _SEARCHED = spherical_wrist.BRANCHES, skew_wrist_kernel.SLOTS
 
 
-def _spherical_entry(p, n, redundant, T, q, ok):
+def _spherical_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
     T = array_at(T, (4, 4))
     _solve_spherical(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
 
 
-def _offset_entry(p, n, redundant, T, q, ok):
+def _offset_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
     T = array_at(T, (4, 4))
     _solve_offset(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
 
 
-def _placed_entry(p, n, redundant, T, q, ok):
+def _placed_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
     T = array_at(T, (4, 4))
     _solve_placed(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
 
 
-def _skew_entry(p, n, redundant, T, q, ok):
+def _skew_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
     T = array_at(T, (4, 4))
     _solve_skew(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_SEARCHED, 6)), array_at(ok, (_SEARCHED,)))
 
 
-def _seven_entry(p, n, redundant, T, q, ok):
+def _seven_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
     T, q, ok = array_at(T, (4, 4)), array_at(q, (_CLOSED, 7)), array_at(ok, (_CLOSED,))
     _solve_seven(array_at(p, (n,)), redundant, T[:3, :3], T[:3, 3], q, ok)
 
@@ -428,7 +428,9 @@ _ENTRIES = {
 }
 
 
-def _whole_entry(kind, own_solver, p, n, redundant, k, T, q, joints, ok):
+def _whole_entry(
+    kind: int, own_solver: int, p: Any, n: int, redundant: Any, k: int, T: Any, q: Any, joints: int, ok: Any
+) -> None:
     branches = branches_of(kind)
     q, ok = array_at(q, (branches, joints)), array_at(ok, (branches,))
     _solve_whole(kind, own_solver, array_at(p, (n,)), array_at(redundant, (k,)), array_at(T, (4, 4)), q, ok)
