@@ -537,11 +537,13 @@ def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> No
             if found[s] < _NEAR * best:
                 continue
             place[0] = _at(starts[s], rolls, lattice, angles)
-            place[1:] = angles
+            for c in range(m):
+                place[1 + c] = angles[c]
             here, share = found[s], 0.5
             for _ in range(_CLIMBS):
                 for way in range(2 * (1 + m)):
-                    trial[:] = place
+                    for c in range(1 + m):
+                        trial[c] = place[c]
                     trial[way // 2] += (1.0 if way % 2 else -1.0) * share * steps[way // 2]
                     if way >= 2:
                         j = cell.chosen[way // 2 - 1]
@@ -549,7 +551,8 @@ def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> No
                     u = _greatest(i, trial[0], trial[1:], here, arm, cell, path, room, last)
                     if u > here:
                         here = u
-                        place[:] = trial
+                        for c in range(1 + m):
+                            place[c] = trial[c]
                 share *= 0.5
             best = max(best, here)
         rates[k] = min(1.0, _BETWEEN * max(best, _LEAST)) if best > 0.0 else 1.0

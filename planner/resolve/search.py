@@ -466,6 +466,13 @@ def _wound(wound, q, limits, low, high, further) -> bool:
 
 
 @njit(cache=True)
+def _put(values, into) -> None:
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
+
+
+@njit(cache=True)
 def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
     the rung of a dead end, or -1."""
@@ -474,7 +481,9 @@ def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     A, B = price.shape[1], price.shape[2]
     total = 0.0
     wound, further, ahead = np.empty((3, low.size)), np.empty((3, low.size)), np.empty((3, low.size))
-    wound[:] = q[r0, picked[r0, 0], picked[r0, 1], picked[r0, 2]]
+    start = q[r0, picked[r0, 0], picked[r0, 1], picked[r0, 2]]
+    for j in range(low.size):
+        wound[0, j] = wound[1, j] = wound[2, j] = start[j]
     for r in range(r0 + 1, stop):
         i0, b0, c = picked[r - 1]
         straight_a = _shift(i0 + roll_from[r - 1] - roll_from[r], A, periodic)
@@ -494,10 +503,10 @@ def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
                     if t < best and not _wound(wound, q[r, i, b, c], limits, low, high, ahead):
                         best = t
                         picked[r, 0], picked[r, 1], picked[r, 2] = i, b, c
-                        further[:] = ahead
+                        _put(ahead, further)
         if best == np.inf:
             return np.inf, r
-        wound[:] = further
+        _put(further, wound)
         total += best
     return total, -1
 
