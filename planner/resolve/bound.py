@@ -313,7 +313,7 @@ def _facets(cell, X, X1, Z, na, room) -> int:
         for b in range(3):
             for r in range(4):
                 rows[b, r] = M[r, cell.triples[t, b]]
-        if not _normal(rows, 4, A, normal):
+        if not _normal(rows, np.int64(4), A, normal):
             continue
         reach = 0.0
         for j in range(nj):
