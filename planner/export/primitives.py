@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -157,7 +157,10 @@ def _first_from(values: Array, low: int, high: int, value: float) -> int:
     return low
 
 
-_FIRST, _USUAL = np.int64(0), np.int64(USUAL_STEP)  # a plain 0 that is handed on is another type, compiled anew
+# a plain 0 that is handed on is another type, compiled anew
+_FIRST: Any = np.int64(0)
+_NONE: Any = np.int64(-1)
+_USUAL: Any = np.int64(USUAL_STEP)
 
 
 @njit(cache=True)
@@ -476,7 +479,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
         end = i + 1
         while end < count and _too_short(way, t, end, end + 1, rules.least):
             end += 1
-        fewest, chosen, low, high = _too_short(way, t, i, end, rules.least), np.int64(-1), i, end
+        fewest, chosen, low, high = _too_short(way, t, i, end, rules.least), _NONE, i, end
         for around in AROUND:
             a, b, most = max(i - around, 0), min(end + around, count), 1.0
             while fewest and most <= rules.widest:
