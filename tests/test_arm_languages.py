@@ -430,6 +430,8 @@ TAMPERED: dict[str, list[Tampering]] = {
         (".dtx", r"<Value.*world", more(0.1), 0, "frames"),
         (".dtx", r'tmax="\d+\.\d+" rmax="99999" blend="Cart', more(5.0), 1, "speeds of lines"),
         (".dtx", r'vel="\d+" .*Joint', lambda m: re.sub(r'vel="\d+"', 'vel="100"', m[0]), 0, "speeds of axes"),
+        (".dtx", r'vel="100" .*Cart', to('vel="100"', 'vel="50"'), 1, "held back"),
+        (".dtx", r'tmax="99999.00" .*Joint', to("99999.00", "900.00"), 0, "held back"),
         (".dtx", r'blend="Cartesian".*', to("Cartesian", "off"), 2, "stops"),
         (".dtx", r'leave="[^/]*/>', lambda m: re.sub(r'"[\d.]+"', '"9.000"', m[0]), 9, "middle of a line"),
         (".dtx", r'value="true"', to("true", "false"), 0, "path"),

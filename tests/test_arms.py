@@ -17,7 +17,15 @@ from planner.base.errors import InputError, Refusal
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.kinematics.chain import Chain, refine
-from planner.cell.kinematics.inverse import Corrected, InverseKinematics, kind_of, solve_one, track, with_rest
+from planner.cell.kinematics.inverse import (
+    Corrected,
+    InverseKinematics,
+    kind_of,
+    solve_one,
+    solver_of,
+    track,
+    with_rest,
+)
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.robot import Robot, chain_of, read_robot, robot_names
@@ -250,7 +258,7 @@ def test_compiled_entry_is_the_same(name: str) -> None:
     one, exists = np.zeros(found.shape[1:]), np.zeros(inverse.branch_count, dtype=np.bool_)
     for i in range(len(q)):
         redundant = np.zeros(1) if values is None else values[i : i + 1]
-        solve_one(kind_of(inverse), inverse.parameters, redundant, T[i, :3, :3], T[i, :3, 3], one, exists)
+        solve_one(kind_of(inverse), solver_of(inverse), inverse.parameters, redundant, T[i], one, exists)
         np.testing.assert_array_equal(exists, ok[i])
         np.testing.assert_allclose(one[exists], found[i, ok[i]], rtol=0, atol=1e-12)
 

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba.core import errors
+
+from planner.base.compiled import call_at, njit
+
+ROOT = Path(__file__).resolve().parents[1]
 
 CALLEE = """
 from planner.base.compiled import njit
@@ -56,3 +63,37 @@ def test_code_is_compiled_anew_after_a_change_in_another_file(folder: Path) -> N
     assert run(folder) == (6.25, 0)
     (folder / "caller.py").touch()  # its content is the same
     assert run(folder) == (6.25, 1)
+
+
+LOADED = """
+import numpy as np
+from planner.cell.cell import build_cell
+from planner.cell.kinematics import offset_wrist, seven_axes_kernel, skew_wrist_kernel, spherical_wrist
+from planner.cell.kinematics.inverse import kind_of, solve_one, solver_of
+from planner.problem import load_problem
+
+cell = build_cell(load_problem("peer_cap"))
+T = cell.inverse.poses(np.full((1, 6), 0.3))[0]
+q, ok = np.empty((8, 6)), np.empty(8, dtype=np.bool_)
+solve_one(kind_of(cell.inverse), solver_of(cell.inverse), cell.inverse.parameters, np.zeros(1), T, q, ok)
+kinds = spherical_wrist, offset_wrist, seven_axes_kernel, skew_wrist_kernel
+print(np.abs(q[ok] - 0.3).max(axis=1).min() < 1e-9, *(len(kind.solve_one.signatures) for kind in kinds))
+"""
+
+
+@pytest.mark.slow
+def test_an_arm_compiles_the_solver_of_its_own_kind_alone(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout.split() == ["True", "1", "0", "0", "0"]
+
+
+def test_what_is_called_by_its_address_takes_arrays_in_order_alone() -> None:
+    @njit()
+    def call(address, values):
+        call_at(address, (values, values.size))
+
+    with pytest.raises(errors.TypingError, match="C's order"):
+        call(1, np.zeros(8)[::2])

@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain, refine
-from planner.cell.kinematics.inverse import Corrected, kind_of, solve_one
+from planner.cell.kinematics.inverse import Corrected, kind_of, solve_one, solver_of
 from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, base_to_tip, chain_of, read_robot
@@ -203,7 +203,7 @@ def test_compiled_entry_is_the_same() -> None:
     found, ok = read.solve(T)
     one, exists = np.zeros((8, 6)), np.zeros(8, dtype=np.bool_)
     for i in range(len(T)):
-        solve_one(kind_of(read), read.parameters, np.zeros(1), T[i, :3, :3], T[i, :3, 3], one, exists)
+        solve_one(kind_of(read), solver_of(read), read.parameters, np.zeros(1), T[i], one, exists)
         np.testing.assert_array_equal(exists, ok[i])
         np.testing.assert_allclose(one[exists], found[i, ok[i]], rtol=0, atol=1e-12)
 

@@ -17,7 +17,7 @@ from solved import promises_kept, solve_alone, write_small
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell, rigid_inverse
-from planner.cell.kinematics.inverse import OnRail, kind_of, solve_one
+from planner.cell.kinematics.inverse import OnRail, kind_of, solve_one, solver_of
 from planner.collision.margins import nearest_margins
 from planner.collision.scene import obstacles_of
 from planner.export.languages import LANGUAGES
@@ -168,7 +168,7 @@ def test_inverse_of_a_pose_on_the_rail_has_that_pose(carried: dict[str, Cell], k
     np.testing.assert_allclose(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi, 0.0, atol=1e-6)
     one, ok = np.empty((8, len(cell.arm))), np.empty(8, dtype=np.bool_)
     for i in range(len(q)):
-        solve_one(kind_of(inverse), inverse.parameters, q[i, given], T[i, :3, :3], T[i, :3, 3], one, ok)
+        solve_one(kind_of(inverse), solver_of(inverse), inverse.parameters, q[i, given], T[i], one, ok)
         assert (ok == exists[i]).all()
         np.testing.assert_allclose(one[ok], found[i][ok], atol=1e-9)
     assert (inverse.out_of_reach(T, q[:, given]) < 1e-9).all()

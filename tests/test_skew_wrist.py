@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain, refine
-from planner.cell.kinematics.inverse import branches_of, kind_of, solve_one
+from planner.cell.kinematics.inverse import branches_of, kind_of, solve_one, solver_of
 from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 
 Array = NDArray[np.float64]
@@ -171,7 +171,7 @@ def test_a_postures_number_is_its_index(name: str) -> None:
     one, exists = np.zeros((16, 6)), np.zeros(16, dtype=np.bool_)
     T = joints.poses(q[:1])[0]
     assert branches_of(kind_of(inverse)) == 16
-    solve_one(kind_of(inverse), inverse.parameters, np.zeros(1), T[:3, :3], T[:3, 3], one, exists)
+    solve_one(kind_of(inverse), solver_of(inverse), inverse.parameters, np.zeros(1), T, one, exists)
     np.testing.assert_array_equal(exists, ok[0])
 
 

@@ -14,7 +14,13 @@ from typing import Any
 
 import numba
 import numpy as np
-from numba.core import event
+from llvmlite import ir
+from numba import carray as np_carray  # type: ignore[attr-defined]
+from numba.core import errors, event, sigutils, types
+from numba.core.ccallback import CFunc
+from numba.extending import intrinsic
+
+array_at: Any = np_carray  # in a kernel: the array of a shape at a pointer, in C's order
 
 SECONDS_A_KERNEL = 0.5  # of compiling, on two cores of a server of 2024: some 250 kernels take two minutes
 WORTH_TELLING = 10  # kernels: fewer are there in a few seconds
@@ -30,7 +36,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         try:
-            kernel = numba.njit(**options)(function)
+            kernel = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)  # nobody calls one from C
             if options.get("cache"):
                 _stamp(kernel)
             return kernel
@@ -38,7 +44,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
             if "no locator available" not in str(error):
                 raise
             _tell_once()
-            return numba.njit(**{**options, "cache": False})(function)
+            return numba.njit(**{"no_cfunc_wrapper": True, **options, "cache": False})(function)
 
     return decorate
 
@@ -67,6 +73,60 @@ def _stamp_of(function: Any) -> str:
                 digest.update(_stamp_of(value.py_func).encode())
         _stamps[module] = digest.hexdigest()
     return _stamps[module]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Kernels behind addresses: what calls them holds none of their code, so that they are compiled, and loaded, only where
+# somebody asks for their address. A call costs nanoseconds, but nothing is inlined.
+
+
+@cache
+def address_of(function: Callable[..., None], signature: str) -> int:
+    """The address in this process of a function compiled for C, whose signature is of numbers and pointers, as in
+    `void(CPointer(float64), int64)`; what it is made of is cached as of `njit`. Not to be handed to other processes."""
+    compiled: Any = CFunc(
+        function, sigutils.normalize_signature(signature), locals={}, options={"error_model": "numpy"}
+    )
+    try:
+        compiled.enable_caching()
+        compiled._cache._cache_file._source_stamp = _stamp_of(function)  # numba has no public way
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        _tell_once()
+    compiled.compile()
+    _held.append(compiled)
+    return int(compiled.address)
+
+
+_held: list[Any] = []  # their code goes with them
+
+
+def _call_at(typing: Any, address: Any, arguments: Any) -> Any:
+    """In a kernel: call the function at an address with a tuple of numbers, and of arrays in C's order, which it gets as
+    pointers to their first numbers."""
+    if any(isinstance(each, types.Array) and each.layout != "C" for each in arguments):
+        raise errors.TypingError("arrays behind an address have to be in C's order")
+
+    def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        handed = []
+        for k, each in enumerate(arguments):
+            value = builder.extract_value(values[1], k)
+            handed.append(
+                context.make_array(each)(context, builder, value).data if isinstance(each, types.Array) else value
+            )
+        function = ir.FunctionType(ir.VoidType(), [value.type for value in handed])
+        builder.call(builder.inttoptr(values[0], function.as_pointer()), handed)
+        return context.get_dummy_value()
+
+    return types.void(types.intp, arguments), lower
+
+
+call_at: Any = intrinsic(_call_at)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is told.
 
 
 @cache

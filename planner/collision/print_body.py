@@ -60,7 +60,10 @@ def split(triangles, longest):
                 halves[long + j, 0, x], halves[long + j, 1, x], halves[long + j, 2, x] = middle, b, c
             j += 1
         now = halves
-    return done[:count].copy()
+    out = np.empty((count, 3, 3))
+    for i in range(count):
+        _copy(done[i], out[i])
+    return out
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,7 +82,9 @@ def merged(triangles, size):
         for k in range(3):
             for x in range(3):
                 low[x], high[x] = min(low[x], triangles[i, k, x]), max(high[x], triangles[i, k, x])
-    wide = np.floor((high - low) / size).astype(np.int64) + 1
+    wide = np.empty(3, np.int64)
+    for x in range(3):
+        wide[x] = np.int64(np.floor((high[x] - low[x]) / size)) + 1
     bits = 4
     while 1 << bits < 4 * len(triangles):
         bits += 1
@@ -100,12 +105,18 @@ def merged(triangles, size):
             if place[at] < 0:
                 place[at] = count
                 keys[count] = key
-                kept[count] = p
+                for x in range(3):
+                    kept[count, x] = p[x]
                 count += 1
             m = place[at]
             far[m] = max(far[m], spread + _apart(p, kept[m]))
     order = np.argsort(keys[:count])  # what lies near in the grid lies near in the list
-    return kept[order], far[order]
+    points, reach = np.empty((count, 3)), np.empty(count)
+    for i in range(count):
+        for x in range(3):
+            points[i, x] = kept[order[i], x]
+        reach[i] = far[order[i]]
+    return points, reach
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -155,6 +155,12 @@ def _first_from(values: Array, low: int, high: int, value: float) -> int:
         else:
             high = middle
     return low
+
+
+# a plain 0 that is handed on is another type, compiled anew
+_FIRST: Any = np.int64(0)
+_NONE: Any = np.int64(-1)
+_USUAL: Any = np.int64(USUAL_STEP)
 
 
 @njit(cache=True)
@@ -408,7 +414,7 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
     """
     count, counts = 0, np.zeros(2, dtype=np.int64)
     for back in range(2):  # the farthest from the beginning, and the nearest from the end
-        at, end, count, step = (last, first, 0, USUAL_STEP) if back else (first, last, 0, USUAL_STEP)
+        at, end, count, step = (last, first, 0, _USUAL) if back else (first, last, 0, _USUAL)
         found = s.behind if back else s.ahead
         found[0] = at
         while at != end:
@@ -437,7 +443,7 @@ def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s:
                 return count  # a part of a primitive that fits need not fit: the farthest targets stay
             b = (low + b) // 2
         s.behind[j] = b
-    _copy(s.behind, 0, count + 1, s.ahead, 0)
+    _copy(s.behind, _FIRST, count + 1, s.ahead, _FIRST)
     return count
 
 
@@ -473,20 +479,20 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
         end = i + 1
         while end < count and _too_short(way, t, end, end + 1, rules.least):
             end += 1
-        fewest, chosen, low, high = _too_short(way, t, i, end, rules.least), -1, i, end
+        fewest, chosen, low, high = _too_short(way, t, i, end, rules.least), _NONE, i, end
         for around in AROUND:
             a, b, most = max(i - around, 0), min(end + around, count), 1.0
             while fewest and most <= rules.widest:
                 n = _stretch(way, t[a], t[b], rules.arcs, most, s)
-                short = _too_short(way, s.ahead, 0, n, rules.least)
+                short = _too_short(way, s.ahead, _FIRST, n, rules.least)
                 if short < fewest:
                     fewest, chosen, low, high = short, n, a, b
-                    _copy(s.ahead, 0, n + 1, s.better, 0)
+                    _copy(s.ahead, _FIRST, n + 1, s.better, _FIRST)
                 most = min(WIDER * most, rules.widest) if most < rules.widest else np.inf
         if chosen >= 0:
-            _copy(t, high, count + 1 - high, s.ahead, 0)  # what follows
-            _copy(s.better, 0, chosen, t, low)
-            _copy(s.ahead, 0, count + 1 - high, t, low + chosen)
+            _copy(t, high, count + 1 - high, s.ahead, _FIRST)  # what follows
+            _copy(s.better, _FIRST, chosen, t, low)
+            _copy(s.ahead, _FIRST, count + 1 - high, t, low + chosen)
             count, end = count + chosen - (high - low), low + chosen
         i = end
     return count
@@ -496,7 +502,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
 def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch) -> int:
     """Targets from sample first to last into s.targets; returns how many primitives they bound."""
     count = _stretch(way, first, last, rules.arcs, 1.0, s)
-    _copy(s.ahead, 0, count + 1, s.targets, 0)
+    _copy(s.ahead, _FIRST, count + 1, s.targets, _FIRST)
     return _lengthen(way, count, rules, s)
 
 
@@ -516,10 +522,10 @@ def _fit(way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rule
         own, mark, least, short = way, 0, 0, 0
         for each in range(2):
             count = _chosen(aimed if each else way, first[i], last[i], rules, s)
-            missing = _too_short(way, s.targets, 0, count, rules.least)
+            missing = _too_short(way, s.targets, _FIRST, count, rules.least)
             if each == 0 or (missing, count) < (short, least):
                 own, mark, least, short = (aimed, AIMED, count, missing) if each else (way, 0, count, missing)
-                _copy(s.targets, 0, count + 1, found, 0)
+                _copy(s.targets, _FIRST, count + 1, found, _FIRST)
         for j in range(least):
             a, b = found[j], found[j + 1]
             fits, within = NONE, 1.0

@@ -95,6 +95,7 @@ class RobotProgram:
     tool, uframe, oframe       (7,) x y z [m], quaternion x y z w
     station                    mechanical unit that moves the part; empty for a fixed bed
     start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
+    approach                   (4,) speed of that move, as `speed`; None where a program does not say
     linear, fine               (m,) bool; what is not linear goes straight in joint space
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
@@ -106,6 +107,8 @@ class RobotProgram:
     wait                       (m,) time at rest after the move [s]
     triggers                   move → its triggers, in order
     arcs                       (m, 3) of linear moves that are arcs, a point on the way [m]; NaN for all others, None for no arcs
+    arc_postures               (m, 14) what else is said of these points: quaternion x y z w, cf1, cf4, cf6, cfx, and station axes
+                               [rad]; None where a language does not have it
     joints                     (m, n) of the arm at targets of joint moves, where the language has them [rad]
     demands                    move → (distance [m] from its end, value that an analog output takes there), in order
     sends                      move → strings sent to the extruder's board after it, in order; -1: before the first
@@ -133,6 +136,8 @@ class RobotProgram:
     demands: dict[int, tuple[tuple[float, float], ...]] = field(default_factory=dict)
     joints: Array | None = None
     arcs: Array | None = None
+    arc_postures: Array | None = None
+    approach: Array | None = None
 
     @property
     def circular(self) -> NDArray[np.bool_]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +61,7 @@ def _fill(
     fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Array, row: int, out: Bytes
 ) -> tuple[int, int]:
     """Write rows from `row` on into out; returns the first row that is not written, and the length of the text."""
-    at = 0
+    at: Any = np.int64(0)  # a plain 0 that is handed on is another type, compiled anew
     for i in range(row, len(free)):
         start = at
         for j in range(fixed.shape[1]):

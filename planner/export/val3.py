@@ -399,6 +399,8 @@ def _step(statement: Statement, arrays: Arrays) -> ProgramStep:
     fine = blend == "off"
     if not fine and (blend == "Cartesian") != linear:
         raise statement.error(f"{blend} is no blend of this move")
+    if (vel != "100") if linear else (float(tmax) != UNBOUND):
+        raise statement.error("a line is held back by its tip's speed alone, a joint move by that of its joints")
     numbers = np.array([float(value) for value in target])
     if not linear:
         return ProgramStep(False, fine, np.radians(numbers), float(vel), 1e-3 * float(radius))

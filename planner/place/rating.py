@@ -108,7 +108,14 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
     Where there is no posture, or one that is not clear of obstacles, or whose first three terms over comfort are not
     above floor, sigma stays 0.
     """
-    kind, q_min, q_max, v_max, a_max = arm.kind, limits.q_min, limits.q_max, limits.v_max, limits.a_max
+    kind, solver, q_min, q_max, v_max, a_max = (
+        arm.kind,
+        arm.solver,
+        limits.q_min,
+        limits.q_max,
+        limits.v_max,
+        limits.a_max,
+    )
     comfort, floor, q_out, terms = asked.comfort, asked.floor, out.q, out.terms
     n_rolls, n_holders, na = q_out.shape[1], q_out.shape[2], q_out.shape[4]
     middle = 0.5 * (q_min + q_max)
@@ -147,7 +154,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                 )
                 if swept.sweeps >= 2:
                     given[swept.sweeps - 2] = angle
-                solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
+                solve_one(kind, solver, p, given, T_base_flange, branch_q, ok)
                 known[:] = False
                 for c in range(slots):
                     if not ok[c]:

@@ -313,7 +313,7 @@ def _facets(cell, X, X1, Z, na, room) -> int:
         for b in range(3):
             for r in range(4):
                 rows[b, r] = M[r, cell.triples[t, b]]
-        if not _normal(rows, 4, A, normal):
+        if not _normal(rows, np.int64(4), A, normal):
             continue
         reach = 0.0
         for j in range(nj):
@@ -408,7 +408,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     pose_of(path.frames[i], path.tip[i], T[1])
     mul4(T[0], T[1], T[2])
     flange_pose(arm.T_base_world, arm.T_nozzle_flange, T[2], np.array((0.0, 0.0, 1.0)), roll, room.R, T[3], T[4], T[5])
-    solve_one(arm.kind, arm.parameters, given[: max(n_given, 1)], T[5][:3, :3], T[5][:3, 3], room.postures, room.ok)
+    solve_one(arm.kind, arm.solver, arm.parameters, given[: max(n_given, 1)], T[5], room.postures, room.ok)
     tip = T[2][:3, 3]
     X, X1, Z = np.empty(6), np.empty(6), np.zeros(6)
     twist, rate = path.twist[i], path.rate[i]
@@ -537,11 +537,13 @@ def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> No
             if found[s] < _NEAR * best:
                 continue
             place[0] = _at(starts[s], rolls, lattice, angles)
-            place[1:] = angles
+            for c in range(m):
+                place[1 + c] = angles[c]
             here, share = found[s], 0.5
             for _ in range(_CLIMBS):
                 for way in range(2 * (1 + m)):
-                    trial[:] = place
+                    for c in range(1 + m):
+                        trial[c] = place[c]
                     trial[way // 2] += (1.0 if way % 2 else -1.0) * share * steps[way // 2]
                     if way >= 2:
                         j = cell.chosen[way // 2 - 1]
@@ -549,7 +551,8 @@ def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> No
                     u = _greatest(i, trial[0], trial[1:], here, arm, cell, path, room, last)
                     if u > here:
                         here = u
-                        place[:] = trial
+                        for c in range(1 + m):
+                            place[c] = trial[c]
                 share *= 0.5
             best = max(best, here)
         rates[k] = min(1.0, _BETWEEN * max(best, _LEAST)) if best > 0.0 else 1.0

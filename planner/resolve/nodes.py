@@ -148,7 +148,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
     arm: ArmNumbers, limits: ArmLimits, swept: SweptJoint, grid: GridNumbers, rungs: RungNumbers, table: Table of the
     obstacles, floors: NodeFloors, out: NodesFilled
     """
-    kind, p, solved, T_base_world = arm.kind, arm.parameters, arm.solved, arm.T_base_world
+    kind, solver, p, solved, T_base_world = arm.kind, arm.solver, arm.parameters, arm.solved, arm.T_base_world
     q_min, q_max, v_max, a_max = limits.q_min, limits.q_max, limits.v_max, limits.a_max
     twist, rate, weight, start, stop = rungs.twist, rungs.rate, rungs.weight, rungs.start, rungs.stop
     branch, min_sigma, q_out, price = grid.branch, floors.min_sigma, out.q, out.price
@@ -210,7 +210,7 @@ def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, 
                 else:
                     if swept.sweeps >= 2:
                         given[swept.sweeps - 2] = angle
-                    solve_one(kind, p, given, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
+                    solve_one(kind, solver, p, given, T_base_flange, branch_q, ok)
                 known[:] = -1
                 for c in range(n_branches):
                     k = branch[r, c]

@@ -15,7 +15,7 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.cell.kinematics.chain import Chain, invert6, jacobian_at, mul4, rotate_about, turn
-from planner.cell.kinematics.inverse import kind_of
+from planner.cell.kinematics.inverse import Solver, kind_of, solver_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.resolve.joint_path import SampledTasks
 
@@ -28,13 +28,14 @@ CLEAR_ROOM = 3e-3  # m of clearance that a node must keep besides what is needed
 class ArmNumbers(NamedTuple):
     """An arm of na joints.
 
-    kind, parameters                     of its closed form: `kind_of`, `InverseKinematics.parameters`
+    kind, solver, parameters             of its closed form: `kind_of`, `solver_of`, `InverseKinematics.parameters`
     solved (6)                           joints (indices) that follow from a pose
     T_base_world, T_nozzle_flange (4, 4) what stands at the two ends of the closed form, seen from there
     placements (na, 4, 4), axes (na, 3), T_last_tip (4, 4)   as in Chain, from the world to the nozzle
     """
 
     kind: int
+    solver: Solver
     parameters: Array
     solved: Ints
     T_base_world: Array
@@ -142,7 +143,7 @@ class PoseRoom(NamedTuple):
 def arm_numbers(cell: Cell) -> ArmNumbers:
     """The cell's arm for kernels."""
     return ArmNumbers(
-        kind_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved),
+        kind_of(cell.inverse), solver_of(cell.inverse), cell.inverse.parameters, np.array(cell.solved),
         rigid_inverse(cell.T_world_base), rigid_inverse(cell.T_flange_nozzle),
         cell.arm.placements, cell.arm.axes, cell.arm.T_last_tip,
     )  # fmt: skip

@@ -288,7 +288,7 @@ def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
 def _any_turns(cost):
     """Least costs (A, B, C) of nodes with whatever turns, and the labels of these."""
     A, B, C, L = cost.shape
-    least, which = np.full((A, B, C), np.inf), np.zeros((A, B, C), dtype=np.int64)
+    least, which = np.full(A * B * C, np.inf).reshape((A, B, C)), np.full(A * B * C, 0).reshape((A, B, C))
     for i in range(A):
         for b in range(B):
             for c in range(C):
@@ -298,15 +298,40 @@ def _any_turns(cost):
     return least, which
 
 
+# numba compiles sums of whole arrays of four axes, their least numbers and their making in seconds each: loops do that.
+
+
+@njit(cache=True)
+def _add(more, cost) -> None:
+    """Add to costs (A, B, C, labels) as many others."""
+    A, B, C, L = cost.shape
+    for i in range(A):
+        for b in range(B):
+            for c in range(C):
+                for label in range(L):
+                    cost[i, b, c, label] += more[i, b, c, label]
+
+
+@njit(cache=True)
+def _least(cost):
+    """The first index of the least of costs, all axes in one, and that cost."""
+    flat = cost.ravel()
+    least = 0
+    for k in range(flat.size):
+        if flat[k] < flat[least]:
+            least = k
+    return least, flat[least]
+
+
 @njit(cache=True)
 def _leave(ladder, r: int, limits, turns, cost, back) -> None:
     """Let the nozzle leave the bead at rung r where it has come to most cheaply, and come back in any posture, with any
     turns; who does so is marked by what lies below -1 in `back`."""
     q, price, holder_from = ladder.q, ladder.price, ladder.holder_from
     A, B, C, L = cost.shape
-    k = int(cost.argmin())
+    k, least = _least(cost)
     i0, b0, c0 = k // (L * C * B), (k // (L * C)) % B, (k // L) % C
-    paused = cost.min() + PAUSE_PRICE
+    paused = least + PAUSE_PRICE
     for i in range(A):
         for b in range(B):
             angle = (holder_from[r] + b) * ladder.holder_step
@@ -352,34 +377,37 @@ def search_best(ladder, limits, turns, may, out, back_home):
     L = 1
     for k in range(turns.number.size):
         L *= turns.number[k]
-    back = np.full((R, A, B, C, L), -1, dtype=np.int32)
-    came, left = np.full((R, 4), -1, dtype=np.int64), np.full((R, 4), -1, dtype=np.int64)
-    cost = np.full((A, B, C, L), np.inf)
+    n = A * B * C
+    back = np.full(R * n * L, -1, dtype=np.int32).reshape((R, A, B, C, L))
+    came, left = np.full(R * 4, -1).reshape((R, 4)), np.full(R * 4, -1).reshape((R, 4))
+    cost = np.full(n * L, np.inf).reshape((A, B, C, L))
     for task in range(len(task_rungs) - 1):
         for r in range(task_rungs[task], task_rungs[task + 1]):
             arrived = cost
-            cost = np.full((A, B, C, L), np.inf)
+            cost = np.full(n * L, np.inf).reshape((A, B, C, L))
             if r == 0:
-                _start(ladder, r, turns, price[0], np.full((A, B, C), -1, dtype=np.int64), cost, back)
-                cost += out
+                _start(ladder, r, turns, price[0], np.full(n, -1).reshape((A, B, C)), cost, back)
+                _add(out, cost)
             elif r == task_rungs[task]:
                 least, which = _any_turns(arrived)
-                first, first_back = np.full((A, B, C), np.inf), np.full((A, B, C), -1, dtype=np.int64)
-                _from_travel(ladder, r, least, limits, first, first_back)
+                first, first_back = np.full(n, np.inf).reshape((A, B, C)), np.full(n, -1)
+                _from_travel(ladder, r, least, limits, first, first_back.reshape((A, B, C)))
                 ends = which.ravel()
-                for at in np.ndindex(A, B, C):
+                for at in range(n):
                     if first_back[at] >= 0:
                         first_back[at] = first_back[at] * L + ends[first_back[at]]
-                _start(ladder, r, turns, first, first_back, cost, back)
+                _start(ladder, r, turns, first, first_back.reshape((A, B, C)), cost, back)
             else:
                 _from_rung(ladder, r, arrived, limits, turns, cost, back)
-            if not np.isfinite(cost.min()):
+            _, least_cost = _least(cost)
+            if not np.isfinite(least_cost):
                 return came, left, np.inf, r
             if may[r]:
                 _leave(ladder, r, limits, turns, cost, back)
-    cost += back_home
-    _trace(back, int(cost.argmin()), came, left)
-    return came, left, cost.min(), -1
+    _add(back_home, cost)
+    k, least_cost = _least(cost)
+    _trace(back, k, came, left)
+    return came, left, least_cost, -1
 
 
 @njit(cache=True)
@@ -438,6 +466,13 @@ def _wound(wound, q, limits, low, high, further) -> bool:
 
 
 @njit(cache=True)
+def _put(values, into) -> None:
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            into[i, j] = values[i, j]
+
+
+@njit(cache=True)
 def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
     the rung of a dead end, or -1."""
@@ -446,7 +481,9 @@ def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     A, B = price.shape[1], price.shape[2]
     total = 0.0
     wound, further, ahead = np.empty((3, low.size)), np.empty((3, low.size)), np.empty((3, low.size))
-    wound[:] = q[r0, picked[r0, 0], picked[r0, 1], picked[r0, 2]]
+    start = q[r0, picked[r0, 0], picked[r0, 1], picked[r0, 2]]
+    for j in range(low.size):
+        wound[0, j] = wound[1, j] = wound[2, j] = start[j]
     for r in range(r0 + 1, stop):
         i0, b0, c = picked[r - 1]
         straight_a = _shift(i0 + roll_from[r - 1] - roll_from[r], A, periodic)
@@ -466,10 +503,10 @@ def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
                     if t < best and not _wound(wound, q[r, i, b, c], limits, low, high, ahead):
                         best = t
                         picked[r, 0], picked[r, 1], picked[r, 2] = i, b, c
-                        further[:] = ahead
+                        _put(ahead, further)
         if best == np.inf:
             return np.inf, r
-        wound[:] = further
+        _put(further, wound)
         total += best
     return total, -1
 

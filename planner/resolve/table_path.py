@@ -276,7 +276,7 @@ def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.floa
 @njit(cache=True, nogil=True, error_model="numpy")
 def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
     """Fill price (v, headings, 8) of postures that exist; see `_posture_prices`."""
-    kind, p, solved = arm.kind, arm.parameters, arm.solved
+    kind, solver, p, solved = arm.kind, arm.solver, arm.parameters, arm.solved
     q_min, q_max, v_max = limits.q_min, limits.q_max, limits.v_max
     na, headings = q_min.size, price.shape[1]
     middle = 0.5 * (q_min + q_max)
@@ -299,7 +299,7 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
             T_world_nozzle[2, 2] = -1.0
             mul4(arm.T_base_world, T_world_nozzle, T_base_nozzle)
             mul4(T_base_nozzle, arm.T_nozzle_flange, T_base_flange)
-            solve_one(kind, p, redundant, T_base_flange[:3, :3], T_base_flange[:3, 3], branch_q, ok)
+            solve_one(kind, solver, p, redundant, T_base_flange, branch_q, ok)
             for k in range(slots):
                 if not ok[k]:
                     continue

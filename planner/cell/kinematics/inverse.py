@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import address_of, array_at, call_at, njit
 from planner.cell.kinematics import offset_wrist, placed_wrist, seven_axes_kernel, skew_wrist_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
 from planner.cell.kinematics.chain import Chain, chain_state, refine
@@ -206,16 +206,9 @@ def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> No
 
 
 # ----------------------------------------------------------------------------------------------------
-# What everybody needs of an arm's inverse kinematics, whatever its kind; and one compiled entry to all kinds.
+# What everybody needs of an arm's inverse kinematics, whatever its kind.
 
 SPHERICAL_WRIST, OFFSET_WRIST, SEVEN_AXES, PLACED_WRIST, SKEW_WRIST, CORRECTED, ON_RAIL = 0, 1, 2, 3, 4, 8, 16
-_solve_spherical, _solve_offset, _solve_seven, _solve_placed, _solve_skew = (
-    spherical_wrist.solve_one,
-    offset_wrist.solve_one,
-    seven_axes_kernel.solve_one,
-    placed_wrist.solve_one,
-    skew_wrist_kernel.solve_one,
-)
 
 
 class InverseKinematics(Protocol):
@@ -317,21 +310,56 @@ def branches_of(kind: int) -> int:
     return skew_wrist_kernel.SLOTS if kind % CORRECTED == SKEW_WRIST else spherical_wrist.BRANCHES
 
 
-@njit(cache=True)
-def solve_one(kind: int, p: Array, redundant: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
-    """Fill q (B, n) and ok (B) with the postures for one flange pose, rotation R (3, 3) and origin t (3); B: `branches_of`.
+# ----------------------------------------------------------------------------------------------------
+# One compiled entry to all kinds.
+#
+# Whoever calls `solve_one` compiles no kind's solver: it is called by its address, and compiled where an arm has that kind.
 
-    kind, p  of the arm: `kind_of`, `parameters`
+
+class Solver(NamedTuple):
+    """Addresses, in this process, of an arm's compiled solver.
+
+    own    of its kind's closed form or search
+    whole  of what corrects its postures or carries it, which calls `own`; 0 where nothing does
+    """
+
+    own: int
+    whole: int
+
+
+def solver_of(inverse: InverseKinematics) -> Solver:
+    """The solver of an arm, compiled or loaded for this process."""
+    kind = kind_of(inverse)
+    own = address_of(_ENTRIES[kind % CORRECTED], _OWN)
+    return Solver(own, address_of(_whole_entry, _WHOLE) if kind >= CORRECTED else 0)
+
+
+@njit(cache=True)
+def solve_one(kind: int, solver: Solver, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+    """Fill q (B, n) and ok (B) with the postures for one flange pose T (4, 4); B: `branches_of`.
+
+    kind, solver, p  of the arm: `kind_of`, `solver_of`, `parameters`
     redundant (k)  the redundant joints' angles or places [rad, m], one number whatever without any
     """
+    if kind < CORRECTED:
+        call_at(solver.own, (p, p.size, redundant[0], T, q, ok))
+    else:
+        call_at(solver.whole, (kind, solver.own, p, p.size, redundant, redundant.size, T, q, q.shape[1], ok))
+
+
+@njit(cache=True)
+def _solve_whole(
+    kind: int, own_solver: int, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
+) -> None:
+    """As `solve_one`, for an arm that is corrected, carried, or both."""
     if kind < ON_RAIL:
-        _solve_standing(kind, p, redundant[0], R, t, q, ok)
+        _solve_standing(kind, own_solver, p, redundant[0], T, q, ok)
         return
     rails = int(p[0])
-    T, own = np.empty((4, 4)), np.empty((q.shape[0], q.shape[1] - rails))
+    seen, own = np.empty((4, 4)), np.empty((q.shape[0], q.shape[1] - rails))
     ends = length(rails)
-    _seen_from_arm(p[:ends], redundant, R, t, T)
-    _solve_standing(kind - ON_RAIL, p[ends:], redundant[redundant.size - 1], T[:3, :3], T[:3, 3], own, ok)
+    _seen_from_arm(p[:ends], redundant, T[:3, :3], T[:3, 3], seen)
+    _solve_standing(kind - ON_RAIL, own_solver, p[ends:], redundant[redundant.size - 1], seen, own, ok)
     for k in range(ok.size):
         for j in range(rails):
             q[k, j] = redundant[j]
@@ -340,18 +368,69 @@ def solve_one(kind: int, p: Array, redundant: Array, R: Array, t: Array, q: Arra
 
 
 @njit(cache=True)
-def _solve_standing(kind: int, p: Array, redundant: float, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+def _solve_standing(
+    kind: int, own_solver: int, p: Array, redundant: float, T: Array, q: Array, ok: NDArray[np.bool_]
+) -> None:
     """The same for an arm whose base does not move."""
     own = p[length(q.shape[1]) :] if kind >= CORRECTED else p
-    if kind % CORRECTED == SPHERICAL_WRIST:
-        _solve_spherical(own, R, t, q, ok)
-    elif kind % CORRECTED == OFFSET_WRIST:
-        _solve_offset(own, R, t, q, ok)
-    elif kind % CORRECTED == PLACED_WRIST:
-        _solve_placed(own, R, t, q, ok)
-    elif kind % CORRECTED == SKEW_WRIST:
-        _solve_skew(own, R, t, q, ok)
-    else:
-        _solve_seven(own, redundant, R, t, q, ok)
+    call_at(own_solver, (own, own.size, redundant, T, q, ok))
     if kind >= CORRECTED:
-        refine_branches(p, R, t, q, ok)
+        refine_branches(p, T[:3, :3], T[:3, 3], q, ok)
+
+
+# Each kind's solver as C calls it: parameters and their number, the redundant joint, a flange pose (4, 4), q and ok.
+_OWN = "void(CPointer(float64), int64, float64, CPointer(float64), CPointer(float64), CPointer(boolean))"
+_WHOLE = (
+    "void(int64, int64, CPointer(float64), int64, CPointer(float64), int64, CPointer(float64), CPointer(float64), int64,"
+    " CPointer(boolean))"
+)
+_solve_spherical, _solve_offset, _solve_seven, _solve_placed, _solve_skew = (
+    spherical_wrist.solve_one,
+    offset_wrist.solve_one,
+    seven_axes_kernel.solve_one,
+    placed_wrist.solve_one,
+    skew_wrist_kernel.solve_one,
+)
+_CLOSED, _SEARCHED = spherical_wrist.BRANCHES, skew_wrist_kernel.SLOTS
+
+
+def _spherical_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
+    T = array_at(T, (4, 4))
+    _solve_spherical(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
+
+
+def _offset_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
+    T = array_at(T, (4, 4))
+    _solve_offset(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
+
+
+def _placed_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
+    T = array_at(T, (4, 4))
+    _solve_placed(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_CLOSED, 6)), array_at(ok, (_CLOSED,)))
+
+
+def _skew_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
+    T = array_at(T, (4, 4))
+    _solve_skew(array_at(p, (n,)), T[:3, :3], T[:3, 3], array_at(q, (_SEARCHED, 6)), array_at(ok, (_SEARCHED,)))
+
+
+def _seven_entry(p: Any, n: int, redundant: float, T: Any, q: Any, ok: Any) -> None:
+    T, q, ok = array_at(T, (4, 4)), array_at(q, (_CLOSED, 7)), array_at(ok, (_CLOSED,))
+    _solve_seven(array_at(p, (n,)), redundant, T[:3, :3], T[:3, 3], q, ok)
+
+
+_ENTRIES = {
+    SPHERICAL_WRIST: _spherical_entry,
+    OFFSET_WRIST: _offset_entry,
+    SEVEN_AXES: _seven_entry,
+    PLACED_WRIST: _placed_entry,
+    SKEW_WRIST: _skew_entry,
+}
+
+
+def _whole_entry(
+    kind: int, own_solver: int, p: Any, n: int, redundant: Any, k: int, T: Any, q: Any, joints: int, ok: Any
+) -> None:
+    branches = branches_of(kind)
+    q, ok = array_at(q, (branches, joints)), array_at(ok, (branches,))
+    _solve_whole(kind, own_solver, array_at(p, (n,)), array_at(redundant, (k,)), array_at(T, (4, 4)), q, ok)

@@ -384,7 +384,7 @@ def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
         for j in range(3):
             asked[i, j] = R_flange[i, j]
         asked[3, i] = t_flange[i]
-    count, open_ = _postures(p, asked, asked, q, 0)
+    count, open_ = _postures(p, asked, asked, q, np.int64(0))
     if open_:
         axis = np.array((0.48, -0.6, 0.64))  # none of an arm's
         for away in (_BESIDE, -2.0 * _BESIDE):

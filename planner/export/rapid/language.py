@@ -12,12 +12,14 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.export.board import selected_tool
+from planner.export.external import external_written
 from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import deposits
 from planner.export.program import RobotProgram
 from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
-from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files
 from planner.export.rapid.text import module_name
+from planner.export.rapid.writer import quadrants, rapid_moves, speed_numbers
 from planner.export.rapid.writer import rapid_files as write
 from planner.export.readback import readback
 
@@ -30,6 +32,9 @@ SHIFTS = (-1, 0, 1)  # samples by which a target may be mistaken for its neighbo
 LONGER = (
     20e-6  # m by which lines may be longer than their path from a bead's beginning, beside what both are as a whole
 )
+SPEED_ROUNDING = 1e-5  # of a speed: numbers of speeds have six digits
+SAME_ORIENTATION = 1e-6  # 1 - |cosine| of half the angle: 0.16 deg; numbers of quaternions have seven decimals
+AXIS_ROUNDING = 1e-5  # rad, or what is written in mm as if it were degrees: numbers of axes have four decimals
 ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
 
@@ -42,11 +47,47 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     program = read_rapid_files(files)
-    found = readback(plan, program)
+    found = [*readback(plan, program), *posture_and_speed_differences(plan, program)]
     if plan.problem.program.style == "socket":
         found += line_differences(plan, program, files[f"{module_name(plan.name)}_lines.csv"])
     if plan.problem.program.style == "demand":
         found += demand_differences(plan, program)
+    return found
+
+
+def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str]:
+    """What neither the path nor the time of beads shows: speeds of reorientation and of axes, the speed of the way to the
+    start, and orientation, configuration and axes of points on arcs' ways, each against the ones planned.
+
+    A controller takes none of the latter (ABB, RAPID reference, MoveC: orientation and external axes of a circle point are
+    not used with `CirPathMode\\ObjectFrame`), but a program that has others was changed.
+    """
+    moves = rapid_moves(plan)
+    speeds, arcs = speed_numbers(plan, moves) * SPEED_UNITS, np.flatnonzero(moves.circular)
+    if len(program.speed) != len(speeds):
+        return [f"it has {len(program.speed)} moves, not {len(speeds)}"]
+    found = []
+    off = np.abs(program.speed - speeds) > SPEED_ROUNDING * speeds
+    for column, of in ((1, "reorientation"), (2, "axes that slide"), (3, "axes that turn")):
+        if (wrong := np.flatnonzero(off[:, column])).size:
+            found.append(f"speeds of {of} are not the planned ones in {len(wrong)} moves, first move {wrong[0]}")
+    if program.approach is None or (np.abs(program.approach - speeds[0]) > SPEED_ROUNDING * speeds[0]).any():
+        found.append("the speed of the way to the start is not the planned one")
+    if program.arc_postures is not None and len(arcs):
+        said = program.arc_postures[1:][arcs]
+        q, branch = moves.q[1:][arcs][:, plan.cell.own], plan.trajectory.branch[moves.sample[arcs]]
+        conf = np.column_stack([quadrants(q), branch])
+        axes = np.radians(external_written(plan.cell, moves.via.station[arcs]))
+        wrong = (said[:, 4:8] != conf).any(axis=1)
+        wrong |= 1.0 - np.abs((said[:, :4] * moves.via.quat[arcs]).sum(axis=1)) > SAME_ORIENTATION
+        wrong |= (np.abs(said[:, 8 : 8 + axes.shape[1]] - axes) > AXIS_ROUNDING).any(axis=1)
+        wrong |= ~np.isnan(said[:, 8 + axes.shape[1] :]).all(axis=1)
+        if wrong.any():
+            first = arcs[np.flatnonzero(wrong)[0]] + 1
+            found.append(
+                f"{np.count_nonzero(wrong)} points on arcs' ways have another orientation, configuration or axes than"
+                f" planned, first move {first}"
+            )
     return found
 
 

@@ -81,6 +81,7 @@ GRAMMAR = Grammar.of(
 )
 DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "proc")
 UNIT = 1e-5  # by which a quaternion's length may miss 1: numbers have 7 decimals
+SPEED_UNITS = np.array([1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0])  # of a speeddata
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
 
 
@@ -264,6 +265,7 @@ class _Run:
         self.flows: set[str] = set()
         self.around: tuple[set[str], set[str]] = (set(), set())
         self.start: list[float] = []
+        self.approach = ""
         self.moves: list[Statement] = []
         self.waits: dict[int, float] = {}
         self.sends: dict[int, list[str]] = {}
@@ -330,7 +332,7 @@ class _Run:
         elif word == "absolute":
             if self.moves or self.start:
                 raise statement.error("MoveAbsJ is for the start only")
-            _known(statement, parts[1], self.module.speeds)
+            self.approach = _known(statement, parts[1], self.module.speeds)
             self.start = numbers(parts[0], SHAPE_JOINTS, statement)
         elif word in ("trigger", "demand"):
             distance, from_start, signal, value = (
@@ -403,13 +405,14 @@ class _Run:
                 asks[i] = [self.demand[name] for name in used if name in self.demand]
         table = target_numbers([move.parts[_TO] for move in self.moves])
         position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in self.moves])
-        arcs = np.full_like(position, np.nan)
+        arcs, postures = np.full_like(position, np.nan), np.full((len(position), 14), np.nan)
         self.check_orientations(self.moves, table)
         if circular.any():
             on_arcs = [move for move in self.moves if move.parts[_VIA]]
             vias = target_numbers([move.parts[_VIA] for move in on_arcs])
             self.check_orientations(on_arcs, vias)
             arcs[circular] = vias[:, :3] * 1e-3
+            postures[circular] = np.column_stack([vias[:, [4, 5, 6, 3, 7, 8, 9, 10]], _radians(vias[:, 11:])])
         begin = np.vstack([position[:1], position[:-1]])
         lengths = segments(begin, np.where(circular[:, None], arcs, position), position, circular).length
         station, uframe, oframe = next(iter(module.wobj.values()))
@@ -427,7 +430,7 @@ class _Run:
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
             zone=np.array([ZONES[move.parts[_AT]] for move in self.moves]),
-            speed=np.array(speeds) * [1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0],
+            speed=np.array(speeds) * SPEED_UNITS,
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
             sends={i: tuple(texts) for i, texts in self.sends.items()},
@@ -438,6 +441,8 @@ class _Run:
             },
             send_rests={i: tuple(rests) for i, rests in self.rested.items()},
             arcs=arcs if circular.any() else None,
+            arc_postures=postures if circular.any() else None,
+            approach=np.array(module.speeds[self.approach]) * SPEED_UNITS,
         )
 
     @staticmethod

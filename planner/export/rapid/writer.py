@@ -167,8 +167,9 @@ def frames(plan: Plan) -> list[str]:
     return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
 
 
-def speeds(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
-    """Declarations of all speeds, and the name of each move's speed; the first one is for the way to the start."""
+def speed_numbers(plan: Plan, moves: Moves) -> Array:
+    """Speeds (m + 1, 4) of the way to the start and of every move, as a speeddata has them: tip [mm/s], reorientation
+    [deg/s], axes that slide [mm/s] and that turn [deg/s]."""
     top = plan.problem.process.travel_speed * 1e3
     tip = np.where(moves.laid, np.round(moves.speed * 1e3, 3), np.clip(np.ceil(moves.speed * 1e3), 1.0, top))
     turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
@@ -179,12 +180,19 @@ def speeds(plan: Plan, moves: Moves) -> tuple[list[str], list[str]]:
     slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
     own_turn = np.where(slow, np.maximum(1.0, np.ceil(turn)), turn_max)
     own_axis = np.where(slow, np.maximum(1.0, np.ceil(axis)), axis_max)
-    keys = [(top, turn_max, axis_max), *zip(tip.tolist(), own_turn.tolist(), own_axis.tolist(), strict=True)]
+    rows = np.column_stack([tip, own_turn, np.full(len(tip), slide_max), own_axis])
+    return np.vstack([[top, turn_max, slide_max, axis_max], rows])
+
+
+def speeds(numbers: Array) -> tuple[list[str], list[str]]:
+    """Declarations of `speed_numbers` (k, 4), and the name of each; the first one is for the way to the start."""
+    keys = [tuple(row) for row in numbers.tolist()]
+    usual = keys[0][1:]
     table = {}
     for key in sorted(set(keys)):
-        own = "" if key[1:] == (turn_max, axis_max) else f"o{key[1]:.0f}a{key[2]:.0f}"
+        own = "" if key[1:] == usual else f"o{key[1]:.0f}a{key[3]:.0f}"
         table[key] = f"vel{key[0]:g}".replace(".", "_") + own
-    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},{slide_max:g},{a:g}];" for (v, o, a), name in table.items()]
+    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},{s:g},{a:g}];" for (v, o, s, a), name in table.items()]
     return lines, [table[key] for key in keys]
 
 
@@ -486,6 +494,13 @@ def rapid(plan: Plan) -> str:
     return rapid_files(plan)[f"{module_name(plan.name)}.mod"]
 
 
+def rapid_moves(plan: Plan) -> Moves:
+    """The moves of a plan's program."""
+    t, style = plan.trajectory, plan.problem.program.style
+    also, fed = event_samples(t) if style == "socket" else None, laid_filament(t) if style != "output" else None
+    return plan_moves(plan, also, fed, arcs=True)
+
+
 def rapid_files(plan: Plan) -> dict[str, str]:
     """All files of the program of a verified plan, by name: ASCII, mm, degrees, targets in the part frame.
 
@@ -494,13 +509,11 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
     require_writable(plan, unsupported_in_rapid(plan))
-    name, t, spec = module_name(plan.name), plan.trajectory, plan.problem.program
+    name, spec, moves = module_name(plan.name), plan.problem.program, rapid_moves(plan)
     sends = spec.style == "socket"
-    also, fed = event_samples(t) if sends else None, laid_filament(t) if spec.style != "output" else None
-    moves = plan_moves(plan, also, fed, arcs=True)
     lines = lines_of(plan, moves) if sends else ()
     triggers = triggers_of(plan, moves, demand_of(plan, moves) if spec.style == "demand" else None)
-    declared, speed_names = speeds(plan, moves)
+    declared, speed_names = speeds(speed_numbers(plan, moves))
     start, *others = procedures_of(plan, moves, speed_names, triggers.of, lines)
     batches = batches_of(name, others, spec.module_moves) if len(moves) > spec.module_moves else ()
     here = [start, *(others if not batches else [])]

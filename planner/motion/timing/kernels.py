@@ -121,10 +121,10 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     for b in range(blocks):
         least = min(sums[max(b - 1, 0)], sums[b], sums[min(b + 1, blocks - 1)])
         mins[b * APART : min((b + 1) * APART, m)] = least
-    average(mins, APART // 2, sums, lengths)
+    average(mins, np.int64(APART // 2), sums, lengths)
     for i in range(m):
         mins[i] = lengths[i]
-    average(mins, APART // 2, sums, lengths)
+    average(mins, np.int64(APART // 2), sums, lengths)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -397,7 +397,7 @@ def fastest(
             all_full = all_full and full
         if all_full and gap < accuracy * time and over.max() < OVERRUN:
             return c, True
-        average(gaps, APART, sums, mu)
+        average(gaps, np.int64(APART), sums, mu)  # not a literal: another type
         for i in range(m):
             least = min(primal[i], dual[i])
             fall = max(_FASTEST_FALL, (1.0 - least) ** 2) if least > 0.1 else 1.0

@@ -132,7 +132,7 @@ def normals_beside(of: Samples, bead: int, s: Array, tips: Array) -> Array:
     along = of.along[first:last]
     start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
     near = first + np.interp(s, along, np.arange(last - first)) - start
-    return _normals(np.ascontiguousarray(tips), of.tips, of.outward, start, near)
+    return _normals(read_only(np.ascontiguousarray(tips)), of.tips, of.outward, start, near)
 
 
 def nearest_printed(
