@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from export_fixtures import make_plan, with_board
-from solved import small_problem, solve_alone, write_small
+from solved import small_plan, small_problem, solve_alone, write_small
 
 import planner.export
 import planner.planning.pipeline
@@ -24,11 +24,11 @@ from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.export.readback import compare
-from planner.export.write import write_robot_code
+from planner.export.write import ProgramDiffers, write_robot_code
 from planner.motion.extrusion import feed_of_materials
 from planner.plan import Event, Plan
 from planner.plan.plan import materials_of, selected, used
-from planner.planning.pipeline import write
+from planner.planning.pipeline import write, write_files
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.layers import KINDS
@@ -387,9 +387,28 @@ def test_gcode_of_one_material_is_held_against_its_plan_too(tmp_path: Path, monk
     with pytest.raises(InputError, match="unknown line"):
         read_gcode(text + "M999\n")
     monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: spoilt})
-    with pytest.raises(RuntimeError, match="the extruder's G-code does not repeat the plan"):
+    with pytest.raises(ProgramDiffers, match="the extruder's G-code does not repeat the plan"):
         write_robot_code(plan, tmp_path)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("second_process", [False, True])
+def test_a_program_that_differs_leaves_the_report_and_a_failed_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, second_process: bool
+) -> None:
+    plan = small_plan()
+    text = gcode(plan)
+    monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: text.replace("G1 E", "G1 E1", 1)})
+    monkeypatch.setattr("planner.planning.pipeline.WORTH_A_FORK", 0)
+    written = write_files(plan, tmp_path, second_process=second_process)
+    assert not written.verified
+    (check,) = (check for check in written.checks if not check.ok)
+    assert (check.name, check.worst) == ("programs repeat the plan", 1.0)
+    assert "does not repeat the plan" in check.where
+    names = {path.name for path in tmp_path.iterdir()}
+    assert {"plan.json", "report.html", "trajectory.csv"} <= names
+    assert not [name for name in names if name.endswith((".mod", ".gcode"))]
+    assert json.loads((tmp_path / "plan.json").read_text())["verified"] is False
 
 
 def test_materials_stand_in_plan_json_report_and_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -286,6 +286,13 @@ def test_targets_are_passed_on_time_with_few_speeds(moves: list[tuple[float, flo
     assert (steady == (SPEED if least < 0.05 else steady)).all()
 
 
+@pytest.mark.parametrize("took", [5e-3, 17.5e-3, 45e-3])
+def test_a_brief_bead_is_as_quick_as_planned_whatever_the_least_time(took: float) -> None:
+    one, parts = np.array([took]), np.array([0.4, 0.6]) * took
+    assert even_speeds(SPEED * one, one, np.array([1]), SPEED, 0.1) == pytest.approx(SPEED, rel=0.01)
+    assert even_speeds(SPEED * parts, parts, np.array([1, 1]), SPEED, 0.1) == pytest.approx(SPEED, rel=0.01)
+
+
 # ---- a plan -------------------------------------------------------------------------------------------------------
 
 

@@ -17,6 +17,7 @@ TIME_TOLERANCE = (
 )
 STEPS = ((0.01, 1e-4), (0.001, 1e-5), (0.0, 1e-6))  # from a speed [m/s] on, speeds are multiples of the second [m/s]
 ON_STEP = 1e-9  # of a speed, by which rounding may leave its step
+BRIEF = 6.0  # of that tolerance: what a shorter bead may be late by would be too large a share of it
 CATCHING_UP = 1.01  # times the plan's greatest speed, with which a program that is late may go on: hardly faster
 
 
@@ -26,11 +27,14 @@ def even_speeds(length: Array, took: Array, group: Indices, usual: float, least:
     took   (m) time of each move [s]
     group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
     usual  speed that is taken wherever it keeps the clock [m/s]
-    least  time that each move is given, even if it took less, as far as the clock can be kept [s]
+    least  time that each move is given, even if it took less, as far as the clock can be kept [s]; but in beads that take
+           less than BRIEF tolerances, whose moves are as quick as planned
     """
     own = group > 0
+    brief = np.bincount(group, weights=took)[group] < BRIEF * TIME_TOLERANCE
     fastest = max(usual, float((length[own] / took[own]).max(initial=0.0)))
-    return _even_speeds(length, took, group, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * fastest))
+    kept = np.where(own & brief, -1, group)
+    return _even_speeds(length, took, kept, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * fastest))
 
 
 class SpeedRules(NamedTuple):
@@ -67,8 +71,10 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules
     out = np.empty(len(length))
     i, late = 0, 0.0
     while i < len(length):
-        if group[i] == 0:
+        if group[i] <= 0:
             out[i] = max(length[i] / took[i], STEPS[2][1])
+            if group[i] < 0:
+                out[i] = 1.0 / _stepped(1.0 / out[i], 0.0)
             i += 1
             continue
         if i == 0 or group[i - 1] != group[i]:

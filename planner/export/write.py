@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from planner.base.errors import OutputError, Refusal
+from planner.base.errors import OutputError, PlannerError, Refusal
 from planner.base.results import digest
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import FORECAST, Forecast, forecast, forecast_json
@@ -57,12 +57,16 @@ def write_refusal(problem: Problem, strategy: str, refusal: Refusal, folder: Pat
     return _write_text(folder / PLAN, refusal_json(problem, strategy, refusal))
 
 
+class ProgramDiffers(PlannerError):
+    """A program that was read back differs from its plan: in which language, and how."""
+
+
 def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     """Write a verified plan in the languages that were chosen for it; returns the paths of the programs.
 
     What controllers will make of them is written beside them, as forecast.json.
-    All programs are read back and held against the plan before anything is written. ValueError if the plan is not
-    verified, RuntimeError if a program differs from the plan (both mistakes of this code or its caller),
+    All programs are read back and held against the plan before anything is written. ProgramDiffers if one of them differs
+    from the plan, ValueError if the plan is not verified (both mistakes of this code or its caller),
     InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
     """
     require_writable(plan)
@@ -72,7 +76,7 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
         language = LANGUAGES[name]
         own = language.write(plan)
         if differences := language.differences(plan, own):
-            raise RuntimeError(f"{language.title} does not repeat the plan: " + "; ".join(differences))
+            raise ProgramDiffers(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
         if name in CONTROLLERS:
             foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, CONTROLLERS[name])

@@ -212,6 +212,7 @@ COLUMNS: dict[str, Measure] = {
 }
 
 
+ONLY_DIFFERENT = "a program that was read back differs from it: no program is written then"
 ONLY_CHANGED = "the plan was changed after it was verified, and is verified anew"
 # The verifier's checks: unit of the worst value, what holds, and how it is found.
 CHECKS: dict[str, Measure] = {
@@ -422,6 +423,12 @@ CHECKS: dict[str, Measure] = {
         "mm",
         "robots, head and fixtures keep their distance from each other",
         "see robot_clearance_min_mm; the limit is collision.arm_mm, of the head collision.nozzle_mm",
+    ),
+    "programs repeat the plan": Measure(
+        "programs that do not",
+        "programs that are read back do what the plan does",
+        "see docs/programs.md, what is read back",
+        ONLY_DIFFERENT,
     ),
     "as it was planned": Measure(
         "parts",

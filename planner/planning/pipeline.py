@@ -20,7 +20,14 @@ from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.export.languages import check_languages
-from planner.export.write import forecast_words, write_part, write_plan, write_robot_code, write_trajectory
+from planner.export.write import (
+    ProgramDiffers,
+    forecast_words,
+    write_part,
+    write_plan,
+    write_robot_code,
+    write_trajectory,
+)
 from planner.motion.dips import find_dips
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
@@ -59,6 +66,7 @@ from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
 RESULTS_BY = "solve"  # whose files they are, in manifests
+REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
 AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
@@ -537,21 +545,32 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
     """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
 
     Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
+    If a program differs from the plan, none is written, and a check of its own fails.
     """
     stages = stages or Stages()
     plan = as_it_is(plan, stages)
     with stages.stage("export"):
-        if not plan.verified:
-            _write_tables(plan, folder, tuple)
-        elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
-            with in_background(write_robot_code, plan, folder) as wait:
-                _write_tables(plan, folder, lambda: _written(wait, folder))
-        else:
-            _write_tables(plan, folder, lambda: _written(lambda: write_robot_code(plan, folder), folder))
+        try:
+            _write_all(plan, folder, second_process)
+        except ProgramDiffers as error:
+            differs = Check(REPEATED, 1.0, 0.0, "programs that do not", False, str(error))
+            plan = sealed(replace(plan, checks=(*plan.checks, differs)))
+            _write_all(plan, folder, second_process)
     seconds = {**plan.timing_s, **stages.seconds}
     plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
     write_plan(plan, folder)
     return plan
+
+
+def _write_all(plan: Plan, folder: Path, second_process: bool) -> None:
+    """Write tables and report, and of a verified plan the programs. Raises ProgramDiffers before any of these is written."""
+    if not plan.verified:
+        _write_tables(plan, folder, tuple)
+    elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
+        with in_background(write_robot_code, plan, folder) as wait:
+            _write_tables(plan, folder, lambda: _written(wait, folder))
+    else:
+        _write_tables(plan, folder, lambda: _written(lambda: write_robot_code(plan, folder), folder))
 
 
 def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
