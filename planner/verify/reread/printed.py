@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints
@@ -256,6 +255,8 @@ def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:
 
 def _from_lines(lines: Sequence[Array], points: Array) -> Array:
     """Distances (n) of points (n, 2) from the nearest of some lines."""
+    import shapely
+
     pieces = [line[i : i + _PIECE + 1] for line in lines for i in range(0, len(line) - 1, _PIECE)]
     if not pieces:
         return np.full(len(points), np.inf)
