@@ -43,7 +43,7 @@ from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.readback import compare, judge
 from planner.export.tables import write_table
 from planner.export.text import number
-from planner.export.write import write_plan, write_robot_code, write_trajectory
+from planner.export.write import ProgramDiffers, write_plan, write_robot_code, write_trajectory
 from planner.plan import Check, Dip, Event, Remedy, Trajectory
 
 HEADER = "t_s,bead,layer,deposit,s_mm,x_mm,y_mm,z_mm,ax,ay,az,speed_mm_s,flow_mm3_s,e_mm"
@@ -591,7 +591,7 @@ def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "planner.export.rapid.language.write", lambda plan: {**rapid_files(plan), "TwoBeads.mod": wrong}
     )
-    with pytest.raises(RuntimeError, match="path differs"):
+    with pytest.raises(ProgramDiffers, match="path differs"):
         write_robot_code(make_plan(), tmp_path)
     assert list(tmp_path.iterdir()) == []
 

@@ -135,6 +135,7 @@ def found(
         s=np.concatenate(s),
         bead=np.concatenate(number),
         first_bead=0,
+        dt=0.004,
         t=0.01 * np.arange(n),
     )
     motion = SimpleNamespace(tip=np.concatenate(tip), axis=np.concatenate(axis))

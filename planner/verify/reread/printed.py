@@ -154,7 +154,7 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
         limit += _BENT * layers.height * layers.count
     off = _from_lines(lines, plane)
     yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
-    yield _whole(judged, places, plane, lines, limit + _APART, layers.count)
+    yield _whole(judged, places, plane, lines, limit + _between(judged), layers.count)
 
 
 def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
@@ -181,7 +181,7 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     wanted = found.needed[which]
     dots, weight = dots[wanted], weight[wanted]
     sense = np.array([1.0, 1.0, 1.0 if found.bend > 0.0 else _LEVEL])
-    lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + _APART
+    lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + _between(judged)
     share, most = float(weight[lost].sum() / weight.sum()), _may_be_left(judged, layers.source.crumbs)
     where = EVERYWHERE
     if lost.any():
@@ -232,6 +232,11 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
             where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
     limit = _may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
     return Check(_WHOLE, worst, limit, "of its length", worst <= limit, where)
+
+
+def _between(judged: Judged) -> float:
+    """How far apart places of the motion may be [m], and the ends of a bead from the first and the last of them."""
+    return max(_APART, judged.problem.process.speed * judged.trajectory.dt)
 
 
 def _may_be_left(judged: Judged, crumbs: float) -> float:
