@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from benchmarks import budgets as inputs
-from planner.base import budgets, memory
+from planner.base import budgets
 from planner.base.errors import InputError
 from planner.planning import estimate as model
 from planner.planning.check_command import examine, is_quick, main
@@ -206,13 +206,13 @@ def test_too_many_facets_are_counted_before_they_are_read(tmp_path: Path) -> Non
 
 
 def test_memory_is_what_container_and_machine_leave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert 1e8 < memory.memory() < 1e14
+    assert 1e8 < model.memory() < 1e14
     container = tmp_path / "memory.max"
-    monkeypatch.setattr(memory, "_CONTAINER", (container,))
+    monkeypatch.setattr(model, "_CONTAINER", (container,))
     container.write_text("max\n")
-    whole = memory.memory()
+    whole = model.memory()
     container.write_text("123456789\n")
-    assert memory.memory() == 123456789.0 < whole
+    assert model.memory() == 123456789.0 < whole
 
 
 def test_more_memory_than_there_is_is_refused_before_work(monkeypatch: pytest.MonkeyPatch) -> None:

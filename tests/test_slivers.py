@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from planner.collision.print_body import split
-from planner.collision.slivers import SLENDER, without_slivers
+from planner.collision.print_body import SLENDER, split, without_slivers
 
 Array = NDArray[np.float64]
 LONGEST = 0.02

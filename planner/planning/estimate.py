@@ -6,10 +6,13 @@ on two cores, with all files written; `python -m benchmarks.budgets --model` hol
 
 from __future__ import annotations
 
+import os
+import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
-from planner.base.memory import memory
 from planner.problem import Problem
 from planner.toolpath.workload import Workload, fewer
 
@@ -20,6 +23,8 @@ _BYTES, _WAYPOINT, _SAMPLE, _BALL = 470e6, 0.9e3, 0.6e3, 0.4e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it
+# of containers, version 2 and 1: a number of bytes, or a word where there is no limit
+_CONTAINER = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
 
 
 @dataclass(frozen=True)
@@ -56,3 +61,27 @@ def check_memory(problem: Problem, work: Workload, expected: Estimate) -> None:
     reason = f"{work.waypoints:,} waypoints in {work.beads:,} beads need about {expected.bytes / 1e9:.1f} GB"
     fits = fewer(work, share) if share > 0.0 else "nothing"
     raise complain(f"{reason}, and {there / 1e9:.1f} GB are there", f"what would fit: {fits}, or a greater dt")
+
+
+def memory() -> float:
+    """The least of what the machine has, its container may use and the process may ask for [bytes]; infinite where nobody
+    tells."""
+    return min(_limits(), default=float("inf"))
+
+
+def _limits() -> Iterator[float]:
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        yield float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    for path in _CONTAINER:
+        try:
+            text = path.read_text(encoding="ascii").strip()
+        except OSError:
+            continue
+        if text.isdigit():
+            yield float(text)
+    if sys.platform != "win32":
+        import resource
+
+        soft, _ = resource.getrlimit(resource.RLIMIT_DATA)
+        if soft != resource.RLIM_INFINITY:
+            yield float(soft)
