@@ -11,18 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Ints, read_only
 from planner.toolpath.bead import Bead
-from planner.toolpath.waypoints.surfels import (
-    FAR,
-    block_trees,
-    nearest_printed,
-    normals_beside,
-    normals_nearest,
-    tree_of,
-)
+from planner.toolpath.waypoints.nearest import PrintedPoints, nearest_printed, printed_points
+from planner.toolpath.waypoints.surfels import normals_beside, normals_nearest, tips_tree
 
 # Struts fuse where they meet, and the later one begins or ends within the earlier one: its tip may come into the outer
 # half of that. The inner half is its core, where no tip has to be.
@@ -38,9 +31,8 @@ class Struts:
     along (n)             arc length of the samples in their bead
     first (beads + 1)     index of each bead's first sample
     middles (m, 3)        points along the middles of the struts; radius (m) of their cores there
-    begin (beads + 1)     index of each bead's first one of these
     printed               how many beads are there
-    trees                 search trees of the middles, see `block_trees`; and of all tips
+    tree, tip_tree        search trees of the middles, and of all tips
     """
 
     tips: Array
@@ -49,10 +41,9 @@ class Struts:
     first: Ints
     middles: Array
     radius: Array
-    begin: Ints
     printed: int
-    trees: dict[tuple[int, int], cKDTree]
-    tip_tree: cKDTree
+    tree: PrintedPoints
+    tip_tree: PrintedPoints
 
     def before(self, bead: int) -> Struts:
         """What is there when the first `bead` beads have been printed."""
@@ -60,9 +51,8 @@ class Struts:
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the cores that are there, FAR at most; negative inside."""
-        nothing = np.full(len(points), FAR), np.full(len(points), -1, dtype=np.int64)
-        distance, nearest = nearest_printed(self.trees, self.begin, self.printed, points, nothing)
-        return np.asarray(np.where(nearest < 0, FAR, distance - self.radius[nearest]))
+        distance, nearest = nearest_printed(self.tree, self.printed, points)
+        return distance - np.where(nearest < 0, 0.0, self.radius[nearest])
 
     def normals(self, points: Array) -> Array:
         """Unit vectors (n, 3) against the nozzle's axis at the places of the beads nearest to points (n, 3)."""
@@ -78,12 +68,11 @@ def struts_of(beads: Sequence[Bead]) -> Struts:
     tips, outward = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
     middles, radius = zip(*(_middle(bead) for bead in beads), strict=True)
     first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
-    begin = np.concatenate([[0], np.cumsum([len(each) for each in radius])])
-    laid = np.concatenate(middles)
+    laid, cores = np.concatenate(middles), CORE * np.concatenate(radius)
     along = np.concatenate([bead.s for bead in beads])
-    cores = np.append(CORE * np.concatenate(radius), 0.0)
-    trees = block_trees(laid, begin)
-    return Struts(tips, outward, along, first, laid, cores, begin, len(beads), trees, tree_of(tips))
+    tree = printed_points(laid, np.repeat(np.arange(len(beads)), [len(each) for each in radius]))
+    ours = (read_only(values) for values in (tips, outward, along))
+    return Struts(*ours, first, laid, cores, len(beads), tree, tips_tree(tips))
 
 
 def _middle(bead: Bead) -> tuple[Array, Array]:

@@ -16,13 +16,12 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints, read_only
 from planner.base.compiled import njit
 from planner.toolpath.bead import Bead
+from planner.toolpath.waypoints.nearest import ALWAYS, FAR, PrintedPoints, nearest_printed, printed_points
 
-FAR = 50e-3  # m: what is farther away than this is that far away
 SHELL = 10e-3  # m of solid beneath a disc
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
 _ABOVE = 0.9  # of the distance, along the normal: a place of another layer
-_MANY = 2_000  # points, fewer than which threads take longer to start than to search
 _STEPS = 3  # of Newton's method for the nearest place on a bead
 
 
@@ -35,9 +34,9 @@ class Surfels:
     centres (n, 3)         of the discs: one bead's height below the tips
     radius                 of the discs: neighbours touch
     first (beads + 1)      index of each bead's first sample
-    bare (m + 1)           samples beneath which nothing is printed: what they lie on is there from the start; then a -1
     printed                how many beads are there
-    trees                  search trees by (size, number) of a block of beads; those of `bare` and of all tips
+    tree, tip_tree         search trees of the centres, where a disc beneath which nothing is printed is there from the
+                           beginning; and of all tips
     """
 
     tips: Array
@@ -46,11 +45,9 @@ class Surfels:
     centres: Array
     radius: float
     first: Ints
-    bare: Ints
     printed: int
-    trees: dict[tuple[int, int], cKDTree]
-    bare_tree: cKDTree
-    tip_tree: cKDTree
+    tree: PrintedPoints
+    tip_tree: PrintedPoints
 
     def before(self, bead: int) -> Surfels:
         """The surface when the first `bead` beads have been printed."""
@@ -58,20 +55,14 @@ class Surfels:
 
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from what is there, FAR at most; negative inside a shell."""
-        best, nearest = self.bare_tree.query(points, distance_upper_bound=FAR, workers=workers_for(points))
-        _, nearest = nearest_printed(self.trees, self.first, self.printed, points, (best, self.bare[nearest]))
-        away = points - self.centres[nearest]
-        above = (away * self.outward[nearest]).sum(axis=1)
-        aside = np.linalg.norm(away - above[:, None] * self.outward[nearest], axis=1)
-        aside = np.maximum(aside - self.radius, 0.0)
-        inside = (above < 0.0) & (above > -SHELL) & (aside <= -above)
-        distance = np.where(inside, -1.0, 1.0) * np.hypot(above, aside)
-        return np.where(nearest < 0, FAR, distance)
+        points = read_only(points)
+        _, nearest = nearest_printed(self.tree, self.printed, points)
+        return _from_discs(points, nearest, self.centres, self.outward, self.radius)
 
     def nearest_layer(self, point: Array) -> float:
         """Distance [m] of a point (3) from the nearest sample that lies above or below it, along its own normal; infinite where
         none does within FAR."""
-        near = self.tip_tree.query_ball_point(point, FAR)
+        near = np.flatnonzero(((self.tips - point) ** 2).sum(axis=1) <= FAR**2)
         way = point - self.tips[near]
         away = np.linalg.norm(way, axis=1)
         above = np.abs((way * self.outward[near]).sum(axis=1)) > _ABOVE * away
@@ -113,14 +104,14 @@ class Samples(Protocol):
         ...
 
     @property
-    def tip_tree(self) -> cKDTree:
+    def tip_tree(self) -> PrintedPoints:
         """As of Surfels."""
         ...
 
 
 def normals_nearest(of: Samples, points: Array) -> Array:
     """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-    _, k = of.tip_tree.query(points, workers=workers_for(points))
+    _, k = nearest_printed(of.tip_tree, 0, points, np.inf)
     bead = np.searchsorted(of.first, k, side="right") - 1
     start = np.clip(k - _STENCIL // 2 + 1, of.first[bead], of.first[bead + 1] - _STENCIL)
     return _normals(read_only(points), of.tips, of.outward, start, (k - start).astype(float))
@@ -135,38 +126,24 @@ def normals_beside(of: Samples, bead: int, s: Array, tips: Array) -> Array:
     return _normals(read_only(np.ascontiguousarray(tips)), of.tips, of.outward, start, near)
 
 
-def nearest_printed(
-    trees: dict[tuple[int, int], cKDTree], first: Ints, printed: int, points: Array, known: tuple[Array, Ints]
-) -> tuple[Array, Ints]:
-    """Distance (n) [m] of points (n, 3) from the nearest point of the first `printed` beads, and its index (n).
-
-    first: index of each bead's first point; known: distances and indices of what is nearer otherwise, FAR at most.
-    """
-    best, nearest = known
-    start = 0
-    for digit in reversed(range(printed.bit_length())):
-        size = 1 << digit
-        if printed & size:  # the printed beads are one block for each binary digit of their number
-            distance, index = trees[size, start // size].query(
-                points, distance_upper_bound=FAR, workers=workers_for(points)
-            )
-            closer = distance < best
-            if closer.any():  # none closer: none found
-                best = np.where(closer, distance, best)
-                nearest = np.where(closer, index + first[start], nearest)
-            start += size
-    return best, nearest
-
-
-def block_trees(points: Array, first: Ints) -> dict[tuple[int, int], cKDTree]:
-    """Search trees of the points (n, 3) of beads, by (size, number) of a block of beads; first as in `nearest_printed`."""
-    trees: dict[tuple[int, int], cKDTree] = {}
-    beads, size = len(first) - 1, 1
-    while size <= beads:
-        for number in range(beads // size):
-            trees[size, number] = tree_of(points[first[number * size] : first[(number + 1) * size]])
-        size *= 2
-    return trees
+@njit(cache=True)
+def _from_discs(points: Array, nearest: Ints, centres: Array, outward: Array, radius: float) -> Array:
+    """Distance (n) of points (n, 3) from the discs of index nearest (n), FAR where that is -1; negative inside a shell."""
+    out = np.empty(len(points))
+    for i in range(len(points)):
+        k = nearest[i]
+        if k < 0:
+            out[i] = FAR
+            continue
+        above, size = 0.0, 0.0
+        for d in range(3):
+            above += (points[i, d] - centres[k, d]) * outward[k, d]
+        for d in range(3):
+            size += (points[i, d] - centres[k, d] - above * outward[k, d]) ** 2
+        aside = max(np.sqrt(size) - radius, 0.0)
+        inside = -SHELL < above < 0.0 and aside <= -above
+        out[i] = (-1.0 if inside else 1.0) * np.hypot(above, aside)
+    return out
 
 
 @njit(cache=True)
@@ -219,8 +196,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
-    tip_tree = tree_of(tips)
-    beneath = _beneath(tips, normals, centres, height, 2.0 * radius, tip_tree)
+    beneath = _beneath(tips, normals, centres, height, 2.0 * radius)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
     layers: list[int] = []
     for i, bead in enumerate(beads):
@@ -228,31 +204,30 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         below = below[(below >= 0) & (below < i)]
         most = 2 * len(below) > len(bead.points)
         layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
-    bare = np.flatnonzero(beneath < 0)
-    trees = block_trees(centres, first)
-    bare_tree = tree_of(centres[bare])
+    since = np.where(beneath < 0, ALWAYS, np.repeat(np.arange(len(beads)), np.diff(first)))
     surfels = Surfels(
-        tips, normals, along, centres, radius, first, np.append(bare, -1), len(beads), trees, bare_tree, tip_tree
+        *(read_only(values) for values in (tips, normals, along, centres)),
+        radius,
+        first,
+        len(beads),
+        printed_points(centres, since),
+        tips_tree(tips),
     )
     return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
 
 
-def workers_for(points: Array) -> int:
-    """How many threads search trees for points (n, 3)."""
-    return 1 if len(points) < _MANY else -1
+def tips_tree(tips: Array) -> PrintedPoints:
+    """A search tree of tips (n, 3), all of which are there from the beginning."""
+    return printed_points(tips, np.full(len(tips), ALWAYS))
 
 
-def tree_of(points: Array) -> cKDTree:
-    """A search tree that is made quickly."""
-    return cKDTree(points, balanced_tree=False, compact_nodes=False)
-
-
-def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float, tree: cKDTree) -> Ints:
+def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float) -> Ints:
     """For each sample (n) an earlier one that lies about one bead's height beneath it, or -1.
 
     How far two samples are apart in height is measured along the mean of their normals: 0 on any sphere.
     """
     n = len(tips)
+    tree = cKDTree(tips, balanced_tree=False, compact_nodes=False)
     _, near = tree.query(centres, k=min(_NEIGHBOURS, n), workers=-1)
     near = near.reshape(n, -1)
     found = np.full(n, -1, dtype=np.int64)

@@ -1,0 +1,141 @@
+"""The nearest point of what is printed so far: one search tree for every moment of a print.
+
+A box round every sixteen neighbouring points, a box round every two of those, and so on. Each box knows the first bead
+that has a point in it, so a search passes over what is not there yet.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from planner.base.arrays import Array, Ints, read_only
+from planner.base.compiled import njit
+from planner.base.processes import in_threads
+
+FAR = 50e-3  # m: what is farther away than this is that far away
+ALWAYS = -1  # the bead of points that are there from the beginning
+_LEAF = 16  # points in the smallest boxes
+_GRID = 20  # bits of each coordinate in the order of the points: three fit into 64
+_MANY = 2_000  # points, fewer than which threads take longer to start than to search
+_DEEPEST = 64  # levels: more than there are points for
+
+
+class PrintedPoints(NamedTuple):
+    """Points of beads for kernels, in an order in which neighbours are together.
+
+    points (n, 3) [m]; bead (n) whose each is; index (n) of each in what the tree was made of
+    low, high (2 m, 3), since (2 m)   boxes k and the first bead in each: its halves are 2 k and 2 k + 1, box 1 is all; those
+                                      from m on hold sixteen points each
+    """
+
+    points: Array
+    bead: Ints
+    index: Ints
+    low: Array
+    high: Array
+    since: Ints
+
+
+def printed_points(points: Array, bead: Ints) -> PrintedPoints:
+    """A search tree of points (n, 3) of beads (n), ALWAYS for what is there from the beginning; n may be 0."""
+    order = _in_neighbourhood(points)
+    leaves = 1 << max(int(np.ceil(np.log2(max(-(-len(points) // _LEAF), 1)))), 0)
+    low, high = np.full((2 * leaves, 3), np.inf), np.full((2 * leaves, 3), -np.inf)
+    since = np.full(2 * leaves, np.iinfo(np.int64).max)
+    starts = np.arange(0, len(points), _LEAF)
+    if len(points):
+        filled = slice(leaves, leaves + len(starts))
+        low[filled] = np.minimum.reduceat(points[order], starts)
+        high[filled] = np.maximum.reduceat(points[order], starts)
+        since[filled] = np.minimum.reduceat(bead[order], starts)
+    first = leaves
+    while first > 1:
+        halves, first = slice(first, 2 * first), first // 2
+        whole = slice(first, 2 * first)
+        low[whole] = low[halves].reshape(-1, 2, 3).min(axis=1)
+        high[whole] = high[halves].reshape(-1, 2, 3).max(axis=1)
+        since[whole] = since[halves].reshape(-1, 2).min(axis=1)
+    arrays = (points[order], bead[order].astype(np.int64), order, low, high, since)
+    return PrintedPoints(*(read_only(values) for values in arrays))
+
+
+def _in_neighbourhood(points: Array) -> Ints:
+    """An order (n) of points (n, 3) that keeps neighbours together: that of the Z-shaped curve through all cells of a grid."""
+    if not len(points):
+        return np.zeros(0, dtype=np.int64)
+    extent = float(np.ptp(points, axis=0).max())
+    cells = ((points - points.min(axis=0)) / max(extent, 1e-12) * ((1 << _GRID) - 1)).astype(np.int64)
+    code = np.zeros(len(points), dtype=np.int64)
+    for bit in range(_GRID):
+        for axis in range(3):
+            code |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def nearest_printed(tree: PrintedPoints, printed: int, points: Array, far: float = FAR) -> tuple[Array, Ints]:
+    """Distances (n) [m] of points (n, 3) from the nearest one of the first `printed` beads, and its index (n).
+
+    Where none is within `far`: that, and -1. Of two that are as near the one with the smaller index is taken.
+    """
+    points = read_only(points)
+    distance, index = np.empty(len(points)), np.empty(len(points), dtype=np.int64)
+
+    def part(first: int, last: int) -> None:
+        _nearest(tree, printed, points[first:last], far, distance[first:last], index[first:last])
+
+    if len(points) < _MANY:
+        part(0, len(points))
+    else:
+        in_threads(part, len(points))
+    return distance, index
+
+
+@njit(cache=True, nogil=True)
+def _nearest(tree: PrintedPoints, printed: int, points: Array, far: float, distance: Array, index: Ints) -> None:
+    """Fill distance (n) and index (n) as `nearest_printed` tells."""
+    leaves = len(tree.since) // 2
+    stack, apart = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST)
+    for i in range(len(points)):
+        best, found = far * far, -1
+        height = 0
+        if tree.since[1] < printed:
+            stack[0], apart[0] = 1, _outside(tree, 1, points[i])
+            height = 1
+        while height > 0:
+            height -= 1
+            box = stack[height]
+            if apart[height] > best:
+                continue
+            if box >= leaves:
+                first = (box - leaves) * _LEAF
+                for k in range(first, min(first + _LEAF, len(tree.bead))):
+                    if tree.bead[k] < printed:
+                        size = 0.0
+                        for d in range(3):
+                            size += (points[i, d] - tree.points[k, d]) ** 2
+                        if size < best or (size == best and (found < 0 or tree.index[k] < found)):
+                            best, found = size, tree.index[k]
+                continue
+            near, far_half = 2 * box, 2 * box + 1
+            near_apart, far_apart = _outside(tree, near, points[i]), _outside(tree, far_half, points[i])
+            if far_apart < near_apart:
+                near, far_half, near_apart, far_apart = far_half, near, far_apart, near_apart
+            if far_apart <= best and tree.since[far_half] < printed:
+                stack[height], apart[height] = far_half, far_apart
+                height += 1
+            if near_apart <= best and tree.since[near] < printed:
+                stack[height], apart[height] = near, near_apart
+                height += 1
+        distance[i], index[i] = np.sqrt(best), found
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _outside(tree: PrintedPoints, box: int, point: Array) -> float:
+    """Squared distance of a point (3) from a box, 0 inside; infinite from an empty one."""
+    total = 0.0
+    for d in range(3):
+        beyond = max(tree.low[box, d] - point[d], point[d] - tree.high[box, d], 0.0)
+        total += beyond * beyond
+    return total
