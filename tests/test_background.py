@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -14,7 +15,7 @@ import pytest
 from solved import bed_plan, small_plan, solve_alone
 
 from planner.base.errors import InputError, PlannerError, Refusal
-from planner.base.processes import Job, in_background, in_halves, in_turn, spare_core
+from planner.base.processes import MANY, Job, in_background, in_halves, in_turn, of_each, spare_core
 from planner.collision.scene import NOTHING, obstacles_of
 from planner.plan import Plan
 from planner.plan.seal import sealed
@@ -168,6 +169,25 @@ def test_a_plan_says_of_the_baseline_what_its_own_plan_says() -> None:
     metrics = solve_alone(plan.problem, "as_published").metrics
     bound = {"bound_any_path_s", "bound_gap_fraction"}  # which is of the problem, and is found once
     assert plan.baseline == {"as_published": {key: metrics[key] for key in metrics if key not in bound}}
+
+
+def test_each_of_many_items_in_order_from_two_processes() -> None:
+    here = os.getpid()
+    found = of_each(lambda k: (k * k, os.getpid()), range(MANY))
+    assert [square for square, _ in found] == [k * k for k in range(MANY)]
+    assert len({where for _, where in found}) == (2 if spare_core() else 1)
+    assert {where for _, where in of_each(lambda k: (k, os.getpid()), range(MANY - 1))} == {here}
+
+
+def test_what_is_refused_of_many_items_is_the_first_of_them() -> None:
+    def half(k: int) -> int:
+        if k in (3, MANY - 1):
+            refuse("no way", k)
+        return k
+
+    with pytest.raises(Refusal) as caught:
+        of_each(half, range(MANY))
+    assert caught.value.bead == 3
 
 
 def test_jobs_begin_when_those_that_give_them_are_done() -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from queue import SimpleQueue
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from planner.base.signals import end_with_parent, ignored_interrupts, taken_as_s
 
 Job = Callable[[], Iterable["Job"]]
 
+Item, Result = TypeVar("Item"), TypeVar("Result")
+
+MANY = 500  # items of some milliseconds each, whose results take less time to send than to find
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take
 
 
@@ -91,6 +95,15 @@ def in_halves(
         return [function(0, half), wait()]
 
 
+def of_each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """`function(item)` of all items in order, where these are many of some milliseconds each: half of them in a second process."""
+
+    def part(first: int, last: int) -> list[Result]:
+        return [function(item) for item in items[first:last]]
+
+    return [each for half in in_halves(part, len(items), len(items) >= MANY) for each in half]
+
+
 def in_threads(function: Callable[[int, int], None], count: int) -> None:
     """Call a function that releases the GIL with (first, last) of parts of range(count), in as many threads as
     there are cores.
@@ -122,12 +135,19 @@ def in_blocks(function: Callable[[slice], None], count: int, block: int, few: in
 def in_turn(jobs: Iterable[Job]) -> None:
     """Call jobs that release the GIL in as many threads as there are cores, and the jobs that each of them gives
     because they may begin once it is done."""
+    done: SimpleQueue[Future[Iterable[Job]]] = SimpleQueue()
+    begun = 0
     with ThreadPoolExecutor(cores()) as pool:
-        running = {pool.submit(job) for job in jobs}
         try:
-            while running:
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                running |= {pool.submit(job) for each in done for job in each.result()}
+            for job in jobs:
+                pool.submit(job).add_done_callback(done.put)
+                begun += 1
+            while begun:  # to wait for a set of futures instead would cost all of them, each time
+                following = done.get().result()
+                begun -= 1
+                for job in following:
+                    pool.submit(job).add_done_callback(done.put)
+                    begun += 1
         finally:
             pool.shutdown(cancel_futures=True)
 

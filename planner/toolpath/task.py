@@ -20,6 +20,7 @@ from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.compiled import njit
 from planner.base.errors import Complaint
 from planner.base.geometry import angles_between
+from planner.base.processes import of_each
 from planner.problem import Problem
 from planner.problem.process import ConesSpec, FibreSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -80,6 +81,8 @@ def _transport(normals: Array, start: Array) -> Array:
 
 def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
     """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along them; none turns by more than half of `cone` [rad]."""
+    if not np.ptp(normals, axis=0).any():
+        return normals  # of a level layer
     length = float(s[-1] - s[0])
     width = max(_SMOOTHING, _SMOOTHED_SAMPLES * float(np.median(np.diff(s))))
     m = max(int(np.ceil(_GRID * length / width)), 1) + 1
@@ -210,7 +213,7 @@ def make_tasks(
     """
     if fibre is not None:
         cut_place(min(toolpath.beads, key=lambda bead: bead.length), fibre, where)
-    runs = [with_runs(bead, run_length, ramp) for bead in toolpath.beads]
+    runs = of_each(lambda bead: with_runs(bead, run_length, ramp), toolpath.beads)
     normals, zeros = [run.normals for run in runs], [run.roll_zero for run in runs]
     if cones.tilt > 0.0:
         normals = [smooth_normals(run.normals, run.s, cones.tilt) for run in runs]

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.geometry import angles_between, arc_lengths, subdivided
+from planner.base.processes import of_each
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
@@ -227,10 +228,12 @@ def laid_through(
 ) -> list[Bead]:
     """A bead through each path, all in layer 0; sizes: their widths and heights [m], at each waypoint or throughout."""
     ends = problem.process.run_in / _PER_RUN
-    curves = [
-        _curve(problem, spec, path, _APART * float(np.min(width)), ends)
-        for path, (width, _) in zip(paths, sizes, strict=True)
-    ]
+
+    def curve_of(of: tuple[Waypoints, tuple[Array | float, Array | float]]) -> Interpolated:
+        path, (width, _) = of
+        return _curve(problem, spec, path, _APART * float(np.min(width)), ends)
+
+    curves = of_each(curve_of, list(zip(paths, sizes, strict=True)))
     zeros = roll_zeros([curve.normals for curve in curves])
     return [
         make_bead(
