@@ -547,11 +547,13 @@ def _flown(path: Array, first: Indices, last: Indices, rests: Indices, run_in: f
     reach = 1.05 * run_in + 0.2e-3 if run_in > 0.0 else 0.0
     approach = np.searchsorted(path, path[first] - reach, side="left")
     leave = np.searchsorted(path, path[last] + reach, side="right") - 1
-    for k in range(len(first)):
-        before = rests[(path[rests] >= path[first[k]] - 1.5 * reach) & (rests <= first[k])]
-        after = rests[(rests >= last[k]) & (path[rests] <= path[last[k]] + 1.5 * reach)]
-        approach[k] = before[-1] if len(before) else approach[k]
-        leave[k] = after[0] if len(after) else leave[k]
+    if len(rests):
+        before = np.searchsorted(rests, first, side="right") - 1
+        near = (before >= 0) & (path[rests[before]] >= path[first] - 1.5 * reach)
+        approach = np.where(near, rests[before], approach)
+        after = np.minimum(np.searchsorted(rests, last), len(rests) - 1)
+        near = (rests[after] >= last) & (path[rests[after]] <= path[last] + 1.5 * reach)
+        leave = np.where(near, rests[after], leave)
     leave[:-1] = np.minimum(leave[:-1], first[1:])
     return np.minimum(approach, first), np.maximum(leave, last)
 

@@ -182,7 +182,7 @@ class ProgramPiece:
 def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
     """The program's targets, cut at the points where the extruder is switched: (extruder on, piece)."""
     rows = np.column_stack([program.position, program.quat, program.external, program.conf])
-    m = len(rows)
+    m, circular, via = len(rows), program.circular, program.via
     begun: list[Array] = [rows[:1]]
     by: list[Indices] = []  # the move that goes from each target to the next
     vias: list[Array] = []  # and its via point
@@ -192,7 +192,7 @@ def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
     def take(last: int) -> None:
         begun.append(rows[done:last])
         by.append(np.arange(done, last))
-        vias.append(program.via[done:last])
+        vias.append(via[done:last])
         known.append(np.ones(last - done, dtype=bool))
 
     def piece() -> ProgramPiece:
@@ -204,7 +204,7 @@ def pieces_of(program: RobotProgram) -> Iterator[tuple[bool, ProgramPiece]]:
             external=table[:, 7:13],
             conf=table[:, 13:].astype(np.intp),
             linear=program.linear[moves],
-            circular=program.circular[moves],
+            circular=circular[moves],
             via=np.concatenate([np.empty((0, 3)), *vias]),
             speed=program.speed[moves, 0],
             known=np.concatenate(known),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections import ChainMap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -298,7 +299,7 @@ class _Run:
             if statement.word == "call":
                 self.call(statement, self.module.procs)
             elif statement.word == "late":
-                self.call(statement, {k: v for each in self.loaded.values() for k, v in each.procs.items()})
+                self.call(statement, ChainMap(*(each.procs for each in reversed(self.loaded.values()))))
             elif statement.word == "load":
                 way, name = statement.parts
                 if way == "UnLoad " and not self.start:
