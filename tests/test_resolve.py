@@ -79,6 +79,21 @@ def test_demand_of_a_helix_is_the_closed_form() -> None:
     np.testing.assert_allclose(demand.rate[inner, 3:], 0.0, atol=1e-3)
 
 
+def test_motions_of_tasks_are_those_of_each_alone_by_numpy(tasks: tuple[NozzleTask, ...]) -> None:
+    demand, begin = sample_tasks(tasks, 5e-3), 0
+    for task in tasks:
+        t, own = task.s / task.speed, slice(begin, begin + len(task))
+        spin = np.gradient(task.frames, t, axis=0)
+        angular = 0.5 * np.cross(task.frames, spin, axisa=1, axisb=1).sum(axis=1)
+        twist = np.concatenate([np.gradient(task.tip, t, axis=0), angular], axis=1)
+        weight = np.gradient(t)
+        weight[: task.first] = weight[task.last + 1 :] = 0.0
+        np.testing.assert_allclose(demand.twist[own], twist, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(demand.rate[own], np.gradient(twist, t, axis=0), rtol=0, atol=1e-9)
+        np.testing.assert_allclose(demand.weight[own], weight, rtol=0, atol=1e-15)
+        begin += len(task)
+
+
 def test_twists_are_finite_differences_of_poses(tasks: tuple[NozzleTask, ...]) -> None:
     demand = sample_tasks(tasks, 5e-3)
     offset = 0

@@ -253,7 +253,7 @@ class Obstacles:
         gone = np.concatenate([np.zeros(1), np.cumsum(steps)])
         return int(hit_along(self.table, np.ascontiguousarray(q), gone, now, allowed, allowed + _FAR))
 
-    @property
+    @cached_property
     def swing(self) -> Array:
         """How far anything moves at most for each radian, or metre, of the joints (nj) [m]."""
         table, na = self.table, int(self.table.arm[0])

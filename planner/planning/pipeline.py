@@ -68,6 +68,7 @@ BASELINE = "as_published"
 RESULTS_BY = "solve"  # whose files they are, in manifests
 REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
 AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
+MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel between them, takes some 10 ms each
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
@@ -131,7 +132,11 @@ def solve(
         pieces = problem.process.split_beads  # which are counted once it is known whether there are any
         given = context_of(problem, cell, toolpath, 0 if pieces else _within(first_bead, toolpath), own)
         check_cones(problem, cell, given.tasks)
-    with _baseline_beside(baseline and strategy != BASELINE, given, dt, second_process) as baseline_metrics:
+    compared = baseline and strategy != BASELINE
+    if compared and len(toolpath.beads) > MOST_COMPARED:
+        compared = False
+        stages.tell(f"more than {MOST_COMPARED:,} beads: not compared with {BASELINE}")
+    with _baseline_beside(compared, given, dt, second_process) as baseline_metrics:
         shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
 
         def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
@@ -154,7 +159,7 @@ def solve(
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
             metrics = report.metrics | _distance(given, report)
         with stages.stage("baseline"):
-            compared = baseline_metrics()
+            of_baseline = baseline_metrics()
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
@@ -171,7 +176,7 @@ def solve(
         series=report.series,
         timing_s=dict(stages.seconds),
         versions=versions(),
-        baseline=compared,
+        baseline=of_baseline,
         settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
         dips=dips,
         approaches=report.approaches,

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 from planner.base.errors import Hints, Refusal
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.resolve.prices import WOUND
@@ -127,21 +128,11 @@ def turned_from(frames: Array, R_part_nozzle: Array) -> tuple[Array, Array]:
 def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.inf) -> SampledTasks:
     """Differentiate the tasks' paths at the commanded speed and set rungs `spacing` [m] apart, or nearer, so that the normal
     turns by `turn` [rad] at most, see `places_along`."""
-    twists, rates, weights, rungs, places, starts, stops, times = [], [], [], [], [], [], [], []
+    rungs, places, starts, stops, times = [], [], [], [], []
     offset = 0
     counts = [0]
-    for task in tasks:
-        t = task.s / task.speed
-        linear = np.gradient(task.tip, t, axis=0)
-        # omega = 1/2 sum of e_k x e_k' over the frame's axes
-        spin = np.gradient(task.frames, t, axis=0)
-        angular = 0.5 * np.cross(task.frames, spin, axisa=1, axisb=1).sum(axis=1)
-        twist = np.concatenate([linear, angular], axis=1)
-        weight = np.gradient(t)
-        weight[: task.first] = weight[task.last + 1 :] = 0.0
-        twists.append(twist)
-        rates.append(np.gradient(twist, t, axis=0))
-        weights.append(weight)
+    clocks = [task.s / task.speed for task in tasks]
+    for task, t in zip(tasks, clocks, strict=True):
         n = len(task)
         place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLES_TURNING)
         at = np.round(place * (n - 1)).astype(np.int64)
@@ -153,14 +144,18 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
         times.append(np.concatenate([[0.0], np.diff(t[at])]))
         counts.append(counts[-1] + len(at))
         offset += n
+    tip, frames = (np.concatenate(each) for each in ([task.tip for task in tasks], [task.frames for task in tasks]))
+    ends = np.cumsum([0, *(len(task) for task in tasks)])
+    laid = np.array([(task.first, task.last) for task in tasks])
+    twist, rate, weight = _motion_along(tip, frames, np.concatenate(clocks), ends, laid)
     return SampledTasks(
-        tip=np.concatenate([task.tip for task in tasks]),
+        tip=tip,
         normals=np.concatenate([task.normals for task in tasks]),
-        frames=np.ascontiguousarray(np.concatenate([task.frames for task in tasks])),
-        twist=np.concatenate(twists),
-        rate=np.concatenate(rates),
+        frames=frames,
+        twist=twist,
+        rate=rate,
         now=np.concatenate([task.moments for task in tasks]),
-        weight=np.concatenate(weights),
+        weight=weight,
         rung=np.concatenate(rungs),
         place=np.concatenate(places),
         start=np.concatenate(starts),
@@ -170,6 +165,50 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
         cones=tasks[0].cones,
         lean=share_of_lean(tasks[0].cones),
     )
+
+
+@njit(cache=True)
+def _motion_along(tip: Array, frames: Array, t: Array, ends: Ints, laid: Ints) -> tuple[Array, Array, Array]:
+    """Twists (n, 6) of frames (n, 3, 3) at tips (n, 3) at times t (n), their rates (n, 6) and the time (n) that each sample
+    stands for, 0 where nothing is laid.
+
+    ends (m + 1): where each task's samples begin, and the last ones end; laid (m, 2): first and last sample of its deposit
+    """
+    n = len(t)
+    twist, rate, weight = np.empty((n, 6)), np.empty((n, 6)), np.zeros(n)
+    slope = np.empty((3, 3))
+    for task in range(len(ends) - 1):
+        first, last = ends[task], ends[task + 1] - 1
+        for i in range(first, last + 1):
+            a, b, c, before, after = _differences(t, first, last, i)
+            for k in range(3):
+                twist[i, k] = a * tip[before, k] + b * tip[i, k] + c * tip[after, k]
+                twist[i, 3 + k] = 0.0
+                for j in range(3):
+                    slope[j, k] = a * frames[before, j, k] + b * frames[i, j, k] + c * frames[after, j, k]
+            for k in range(3):  # omega = 1/2 sum of e_k x e_k' over the frame's axes
+                for d in range(3):
+                    e, f = (d + 1) % 3, (d + 2) % 3
+                    twist[i, 3 + d] += 0.5 * (frames[i, e, k] * slope[f, k] - frames[i, f, k] * slope[e, k])
+            if first + laid[task, 0] <= i <= first + laid[task, 1]:
+                weight[i] = (t[after] - t[before]) / (2.0 if before < i < after else 1.0)
+        for i in range(first, last + 1):
+            a, b, c, before, after = _differences(t, first, last, i)
+            for k in range(6):
+                rate[i, k] = a * twist[before, k] + b * twist[i, k] + c * twist[after, k]
+    return twist, rate, weight
+
+
+@njit(cache=True, inline="always")
+def _differences(t: Array, first: int, last: int, i: int) -> tuple[float, float, float, int, int]:
+    """Shares of the values before, at and after i in the slope there, exact for parabolas, one-sided at first and last; and
+    the two neighbours' indices."""
+    if i in (first, last):
+        before, after = (first, first + 1) if i == first else (last - 1, last)
+        step = t[after] - t[before]
+        return (0.0, -1.0 / step, 1.0 / step, i, after) if i == first else (-1.0 / step, 1.0 / step, 0.0, before, i)
+    h, k = t[i] - t[i - 1], t[i + 1] - t[i]
+    return -k / (h * (h + k)), (k - h) / (h * k), h / (k * (h + k)), i - 1, i + 1
 
 
 # ----------------------------------------------------------------------------------------------------

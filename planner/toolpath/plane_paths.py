@@ -110,7 +110,7 @@ class SampleDensity:
     def _count(self, c: Array) -> Array:
         """Samples up to chord lengths c (n), which increase."""
         count = np.asarray(self.counted(c))
-        bump = _bump().antiderivative()
+        bump = _bumps_up_to()
         for corner, spacing, width in zip(self.corners, self.spacing, self.width, strict=True):
             first, last = np.searchsorted(c, [corner - _REACH * width, corner + _REACH * width])
             here = width / spacing
@@ -133,6 +133,12 @@ def _bump() -> CubicSpline:
     """1 / (1 + x^2) on [-REACH, REACH], faded to 0 at both ends: neighbouring spacings grow by a fifth at most."""
     x = np.sinh(np.linspace(-1.0, 1.0, 1601) * np.arcsinh(_REACH))
     return CubicSpline(x, (1.0 - (x / _REACH) ** 2) ** 3 / (1.0 + x * x))
+
+
+@cache
+def _bumps_up_to() -> Any:
+    """Its integral from -REACH on."""
+    return _bump().antiderivative()
 
 
 @dataclass(frozen=True)
