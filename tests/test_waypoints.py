@@ -542,7 +542,7 @@ def test_layers_are_what_lies_on_something(stack: tuple[tuple[Bead, ...], Surfel
     beads, surface = stack
     assert [bead.layer for bead in beads] == [0] * 4 + [1] * 4 + [2] * 4
     assert Toolpath(beads, surface).layers == 3
-    bare = surface.tree.index[surface.tree.bead == ALWAYS]
+    bare = surface.tree.origin[surface.tree.bead == ALWAYS]
     assert len(bare) > 0
     assert (bare < 4 * len(beads[0].points)).mean() > 0.999
 
@@ -567,7 +567,7 @@ def test_prefixes_agree_with_brute_force(stack: tuple[tuple[Bead, ...], Surfels]
     points = beads[5].points[rng.integers(0, 2000, 40)] + rng.uniform(-2e-3, 6e-3, (40, 3))
     for count in (0, 1, 3, 4, 7, 12):
         there = np.arange(len(surface.tips)) < surface.first[count]
-        there[surface.tree.index[surface.tree.bead == ALWAYS]] = True
+        there[surface.tree.origin[surface.tree.bead == ALWAYS]] = True
         away = points[:, None] - surface.centres[there]
         nearest = np.linalg.norm(away, axis=2).argmin(axis=1)
         v, n = away[np.arange(40), nearest], surface.outward[there][nearest]

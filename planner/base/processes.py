@@ -19,7 +19,8 @@ from planner.base.signals import end_with_parent, ignored_interrupts, taken_as_s
 
 Job = Callable[[], Iterable["Job"]]
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 MANY = 500  # items of some milliseconds each, whose results take less time to send than to find
 _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to take

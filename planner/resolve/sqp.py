@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from planner.base.arrays import Array
-from planner.base.processes import Job, cores, in_turn
+from planner.base.processes import MANY, Job, cores, in_halves, in_turn, of_each
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
@@ -205,7 +205,15 @@ def refine_beads(
                 return []
         return [partial(refine, [i], again, k) for k in again.first]
 
-    in_turn([partial(start, chain, None) for chain in _chains(paths, given)])
+    chains = _chains(paths, given)
+
+    def part(first: int, last: int) -> dict[int, JointPath]:
+        in_turn([partial(start, chain, None) for chain in chains[first:last]])
+        return {i: done[i] for chain in chains[first:last] for i in chain}
+
+    for found in in_halves(part, len(chains), len(chains) >= MANY):  # short beads: threads wait for each other's Python
+        for i, path in found.items():
+            done[i] = path
     return done
 
 
@@ -226,9 +234,14 @@ def by_programs(solver: QPSolver) -> Improve:
 def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec) -> dict[int, Priced]:
     """What the paths that are long enough to be refined cost as they are, by their index."""
     long_enough = [i for i, path in enumerate(paths) if len(path.task) >= LEAST_SAMPLES]
+
+    def price(i: int) -> Priced:
+        return given_price(model, paths[i], settings.min_sigma)
+
+    if len(long_enough) >= MANY:
+        return dict(zip(long_enough, of_each(price, long_enough), strict=True))
     with ThreadPoolExecutor(cores()) as pool:
-        prices = pool.map(lambda i: given_price(model, paths[i], settings.min_sigma), long_enough)
-        return dict(zip(long_enough, prices, strict=True))
+        return dict(zip(long_enough, pool.map(price, long_enough), strict=True))
 
 
 def sigma_floor(given: dict[int, Priced], settings: ResolveSpec) -> float:

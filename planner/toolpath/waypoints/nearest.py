@@ -25,14 +25,14 @@ _DEEPEST = 64  # levels: more than there are points for
 class PrintedPoints(NamedTuple):
     """Points of beads for kernels, in an order in which neighbours are together.
 
-    points (n, 3) [m]; bead (n) whose each is; index (n) of each in what the tree was made of
+    points (n, 3) [m]; bead (n) whose each is; origin (n) of each in what the tree was made of
     low, high (2 m, 3), since (2 m)   boxes k and the first bead in each: its halves are 2 k and 2 k + 1, box 1 is all; those
                                       from m on hold sixteen points each
     """
 
     points: Array
     bead: Ints
-    index: Ints
+    origin: Ints
     low: Array
     high: Array
     since: Ints
@@ -115,8 +115,8 @@ def _nearest(tree: PrintedPoints, printed: int, points: Array, far: float, dista
                         size = 0.0
                         for d in range(3):
                             size += (points[i, d] - tree.points[k, d]) ** 2
-                        if size < best or (size == best and (found < 0 or tree.index[k] < found)):
-                            best, found = size, tree.index[k]
+                        if size < best or (size == best and (found < 0 or tree.origin[k] < found)):
+                            best, found = size, tree.origin[k]
                 continue
             near, far_half = 2 * box, 2 * box + 1
             near_apart, far_apart = _outside(tree, near, points[i]), _outside(tree, far_half, points[i])

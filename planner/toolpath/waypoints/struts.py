@@ -71,8 +71,8 @@ def struts_of(beads: Sequence[Bead]) -> Struts:
     laid, cores = np.concatenate(middles), CORE * np.concatenate(radius)
     along = np.concatenate([bead.s for bead in beads])
     tree = printed_points(laid, np.repeat(np.arange(len(beads)), [len(each) for each in radius]))
-    ours = (read_only(values) for values in (tips, outward, along))
-    return Struts(*ours, first, laid, cores, len(beads), tree, tips_tree(tips))
+    samples = (read_only(tips), read_only(outward), read_only(along))
+    return Struts(*samples, first, laid, cores, len(beads), tree, tips_tree(tips))
 
 
 def _middle(bead: Bead) -> tuple[Array, Array]:

@@ -206,7 +206,10 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
     since = np.where(beneath < 0, ALWAYS, np.repeat(np.arange(len(beads)), np.diff(first)))
     surfels = Surfels(
-        *(read_only(values) for values in (tips, normals, along, centres)),
+        read_only(tips),
+        read_only(normals),
+        read_only(along),
+        read_only(centres),
         radius,
         first,
         len(beads),
