@@ -97,7 +97,10 @@ def in_halves(
 
 
 def of_each(function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-    """`function(item)` of all items in order, where these are many of some milliseconds each: half of them in a second process."""
+    """`function(item)` of all items in order, where these are many of some milliseconds each: half of them in a second process.
+
+    Not where other threads are at work: a process that is forked while one of them loads a kernel waits for that for ever.
+    """
 
     def part(first: int, last: int) -> list[Result]:
         return [function(item) for item in items[first:last]]

@@ -19,7 +19,6 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
-from planner.base.processes import of_each
 from planner.cell.cell import Cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import TRAVEL, Approach, CellView, Check, Trajectory
@@ -257,24 +256,16 @@ def _geometry(judged: Judged) -> Findings:
 def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
     """Distances (n) [m] of the tip from the rounded path and from the input path, the true surface normals (n, 3), and
     the greatest distance [m] of the input path from the rounded one. 0 in travel."""
-    t, tip, beads = judged.trajectory, judged.motion.tip, judged.toolpath.beads
+    t, tip = judged.trajectory, judged.motion.tip
     position, deviation, normals, unreached = np.zeros(len(t)), np.zeros(len(t)), np.zeros((len(t), 3)), 0.0
-
-    def off(i: int) -> tuple[Array, Array, Array, float]:
-        at, bead = judged.samples[i], beads[i]
+    for i, (at, bead) in enumerate(zip(judged.samples, judged.toolpath.beads, strict=True)):
+        if len(at) < 2:
+            continue  # the coverage check names this bead
         path = CubicSpline(bead.s, bead.points)
-        return (
-            np.linalg.norm(path(t.s[at]) - tip[at], axis=1),
-            distance_to_polyline(tip[at], bead.source),
-            judged.toolpath.surface.normals_on(i, t.s[at], tip[at]),
-            float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()),
-        )
-
-    printed = [i for i, at in enumerate(judged.samples) if len(at) > 1]  # the coverage check names the others
-    for i, found in zip(printed, of_each(off, printed), strict=True):
-        at = judged.samples[i]
-        position[at], deviation[at], normals[at] = found[:3]
-        unreached = max(unreached, found[3])
+        position[at] = np.linalg.norm(path(t.s[at]) - tip[at], axis=1)
+        deviation[at] = distance_to_polyline(tip[at], bead.source)
+        normals[at] = judged.toolpath.surface.normals_on(i, t.s[at], tip[at])
+        unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
     return position, deviation, normals, unreached
 
 
