@@ -372,7 +372,7 @@ CHECKS: dict[str, Measure] = {
         "mm",
         "each layer lies as many layer heights above the part as it is to",
         "executed tip, brought down along the normals of the part's own formula; of meshes its distance from the file's facets, "
-        "whose limit is part.mesh.smooth_mm, 0.5 unless it is given",
+        "whose limit is 0.05 and what notes tell of a smooth surface",
         ONLY_ON_PARTS,
     ),
     "nozzle normal to the part": Measure(
@@ -392,7 +392,7 @@ CHECKS: dict[str, Measure] = {
         "of its length",
         "what the problem's file says is printed, on each layer",
         "share of the file's paths that no executed tip comes near to, in the worst layer; the limit is "
-        "layers.source.leave_out_share where a note tells what was left out, else 0.001",
+        "0.001 and the share that notes say is left out, layers.source.leave_out_share at most",
         ONLY_REREAD,
     ),
     "obstacles where the print is": Measure(

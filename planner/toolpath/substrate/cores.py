@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.layers import CoreLayersSpec
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.clipping import share_words, trim_curve, trim_path
@@ -220,15 +220,17 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
             break
     if not rows:
         raise _no_room(problem, "no layer has a piece that is long enough")
-    _check_left_out(
-        problem, spec.source.crumbs, sum(left_out), sum(length(each.points) for row in rows for each in row)
-    )
+    lost, kept = sum(left_out), sum(length(each.points) for row in rows for each in row)
+    _check_left_out(problem, spec.source.crumbs, lost, kept)
     surface = replace(surface, levels=tuple(laid))
     share = process.bead.height / spec.height
     beads = _lay(surface, rows, process.bead.width, share)
     surface = replace(surface, layers=tuple(bead.layer for bead in beads))
     body = surface.body
-    return Toolpath(tuple(beads), surface, body.shape(), _notes(body, left_out, shortest), body.facets.corners)
+    told = Told(lost / (lost + kept), off=body.told_gap)
+    return Toolpath(
+        tuple(beads), surface, body.shape(), _notes(body, left_out, shortest), body.facets.corners, told=told
+    )
 
 
 def _check_left_out(problem: Problem, most: float, lost: float, laid: float) -> None:
