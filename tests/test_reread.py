@@ -19,6 +19,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from planner.collision.print_body import PrintBody, print_body
@@ -124,8 +125,8 @@ def found(
     for i, bead in enumerate(beads):
         at = np.linspace(0.0, bead.length, max(2, int(bead.length / 0.15e-3)))
         s.append(at)
-        tip.append(np.column_stack([np.interp(at, bead.s, bead.points[:, k]) for k in range(3)]))
-        along = np.column_stack([np.interp(at, bead.s, bead.normals[:, k]) for k in range(3)])
+        tip.append(CubicSpline(bead.s, bead.points)(at))
+        along = CubicSpline(bead.s, bead.normals)(at)
         axis.append(-along / np.linalg.norm(along, axis=1)[:, None])
         number.append(np.full(len(at), i))
     toolpath = replace(toolpath, beads=tuple(beads))

@@ -14,9 +14,11 @@ from planner.verify.checks import DIGITS, EVERYWHERE, Judged, place
 
 APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
 OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
-SHORT = 0.001  # of the length or area, besides what may be left out: ends of pieces and rounded corners
+SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
+_CORNERS = 0.003  # of a layer, besides what may be left out: beside rounded turns and narrow ends
 AXIS = np.radians(0.05)  # beyond the nozzle's cone
 ON_PART, NORMAL = "layers on the part", "nozzle normal to the part"
+DRAWN, WHOLE = "print on the drawn path", "drawn path left out"
 INSIDE, FILLED = "beads within the part", "layers filled"
 
 
@@ -60,6 +62,11 @@ def begun_layers(judged: Judged) -> set[int]:
     return {bead.layer for bead in judged.toolpath.beads[: judged.trajectory.first_bead]}
 
 
+def may_be_left(judged: Judged, crumbs: float) -> float:
+    """The share of the length that may be missing: what notes tell of, up to what the problem allows, and next to nothing."""
+    return min(judged.toolpath.told.left_out, crumbs) + SHORT
+
+
 def by_number(number: Ints) -> Iterator[tuple[int, Ints]]:
     """The numbers there are, and the places (k) of each."""
     order = np.argsort(number, kind="stable")
@@ -100,19 +107,27 @@ class Asked:
     whole: float
 
 
-def filled(judged: Judged, places: Places, asked: Mapping[int, Asked], may: float) -> Check:
-    """The share of a layer that no bead comes near to, in the worst layer; may: share that notes tell of."""
-    begun, printed = begun_layers(judged), dict(by_number(places.layer))
-    most, where = 0.0, EVERYWHERE
+def filled(places: Places, asked: Mapping[int, Asked], may: float) -> Check:
+    """The share of a layer that no bead comes near to, in the worst layer, or where a share may be missing, of all layers.
+
+    may: share of all of them that notes tell of
+    """
+    printed = dict(by_number(places.layer))
+    most = total = whole = 0.0
+    where = EVERYWHERE
     for layer, wanted in asked.items():
-        if layer in begun or not len(wanted.points):
+        whole += wanted.whole
+        if not len(wanted.points):
             continue
         own = printed.get(layer, np.zeros(0, dtype=np.int64))
         away = cKDTree(places.tip[own]).query(wanted.points)[0] if len(own) else np.full(len(wanted.points), np.inf)
         lost = away > wanted.near
+        total += float(wanted.area[lost].sum())
         share = float(wanted.area[lost].sum() / wanted.whole)
         if share > most:
             most, spot = share, wanted.points[lost][np.argmax((away - wanted.near)[lost])] * 1e3
             where = "layer {}, at {:.1f}, {:.1f}, {:.1f} mm".format(layer, *spot)
-    limit = may + SHORT
+    if may > 0.0:
+        most = total / max(whole, 1e-300)
+    limit = may + _CORNERS
     return Check(FILLED, most, limit, "of its area", most <= limit, where)

@@ -25,36 +25,42 @@ from planner.problem.drawings import (
 from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.part import PartSpec
 from planner.verify.checks import EVERYWHERE, Findings, Judged
+from planner.verify.reread.core import core
+from planner.verify.reread.faces import faces
+from planner.verify.reread.facets import facets_of
+from planner.verify.reread.lines import distances_from_lines, dots_of_lines
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
 from planner.verify.reread.places import (
     APART,
     AXIS,
+    DRAWN,
     NORMAL,
     OFF_LEVEL,
     ON_PART,
-    SHORT,
+    WHOLE,
     Places,
     begun_layers,
     between,
     by_number,
+    may_be_left,
     places_of,
     worst_of,
 )
 from planner.verify.reread.plane_curves import NotRead, read_again
 from planner.verify.reread.points import distances_from, dots_along, segments_of
+from planner.verify.reread.slopes import axis_along, normals_over, off_facets
+from planner.verify.reread.volume import volume
+from planner.verify.reread.wing import wing
 
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
-_FACETS = 0.05e-3  # m that beads may lie off facets, where nothing is told of it
 _BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
 _BEAD = 1e-9  # m, rounding of widths and heights
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
-_DRAWN, _WHOLE = "print on the drawn path", "drawn path left out"
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
-_PIECE = 16  # chords of a line in the tree of lines
 
 
 def as_the_problem_says(judged: Judged) -> Findings:
@@ -67,6 +73,10 @@ def as_the_problem_says(judged: Judged) -> Findings:
         *_on_the_part(judged, places),
         *_on_the_drawing(judged, places),
         *_on_the_points(judged, places),
+        *wing(judged, places),
+        *core(judged, places),
+        *volume(judged, places),
+        *faces(judged, places),
     ]
     return Findings((*checks, _obstacles(judged, places)))
 
@@ -113,9 +123,13 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
             off = distances_from_facets(part.mesh, places.tip[few] - height[:, None] * [0.0, 0.0, 1.0])
         else:
             off = np.abs(distances_from_facets(part.mesh, places.tip[few]) - height)
-        bound = max(judged.toolpath.told.off, _FACETS) + OFF_LEVEL
+        bound = off_facets(judged) + OFF_LEVEL
         off = np.maximum(off - _BENT * height, 0.0)
-        yield worst_of(judged, places.some(few), ON_PART, off * 1e3, bound * 1e3, "mm")
+        some = places.some(few)
+        yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
+        foot = some.tip[:, :2] - (0.0 if along_z else height[:, None] * some.up[:, :2])
+        facets = facets_of(part.mesh)
+        yield axis_along(judged, some, normals_over(lambda plane: facets.top(plane)[0], foot))
 
 
 def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
@@ -126,7 +140,7 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     source = layers.source  # type: ignore[union-attr]
     drawn = read_again(source)
     if isinstance(drawn, NotRead):
-        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
+        yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
         return
     plane = _in_the_plane(judged, part, places)
     lines = [line for line in drawn if len(line) > 1]
@@ -135,8 +149,8 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
         limit += 0.5 * process.bead.width + process.corner_tolerance
     if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
         limit += _BENT * layers.height * layers.count
-    off = _from_lines(lines, plane)
-    yield worst_of(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
+    off = distances_from_lines(lines, plane)
+    yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
     yield _whole(judged, places, plane, lines, limit + between(judged), layers.count)
 
 
@@ -147,14 +161,14 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         return
     found = segments_of(layers.source)
     if isinstance(found, NotRead):
-        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {found.why}")
+        yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {found.why}")
         return
     length = np.linalg.norm(found.end - found.start, axis=1)
     dots, which = dots_along(found, max(APART, float(length.sum()) / _MOST))
     near = cKDTree(dots).query(places.tip, k=min(_NEAREST, len(dots)))[1].reshape(len(places.tip), -1)
     off = distances_from(found, places.tip, [which[k] for k in near.T])
     limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
-    yield worst_of(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
+    yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
     some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
     if found.needed is None or not found.needed.any() or some or judged.trajectory.first_bead:
         return
@@ -171,7 +185,7 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     where = EVERYWHERE
     if lost.any():
         where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
-    yield Check(_WHOLE, share, most, "of its length", share <= most, where)
+    yield Check(WHOLE, share, most, "of its length", share <= most, where)
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
@@ -202,7 +216,7 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
 def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float, count: int) -> Check:
     """The share of what is drawn that no bead of a layer comes near to, in the worst of those that are wholly printed."""
     begun = begun_layers(judged)
-    dots, weight = _dots(lines)
+    dots, weight = dots_of_lines(lines)
     where, worst = EVERYWHERE, 0.0
     printed = dict(by_number(places.layer))
     for layer in range(count):
@@ -210,46 +224,13 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
             continue
         own = printed.get(layer, np.zeros(0, dtype=np.int64))
         pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
-        lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
+        lost = distances_from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
         share = float(weight[lost].sum() / weight.sum())
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
             where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
     limit = may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
-    return Check(_WHOLE, worst, limit, "of its length", worst <= limit, where)
-
-
-def may_be_left(judged: Judged, crumbs: float) -> float:
-    """The share of the length that may be missing: what notes tell of, up to what the problem allows, and next to nothing."""
-    return min(judged.toolpath.told.left_out, crumbs) + SHORT
-
-
-def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:
-    """Places (n, 2) along lines, and the length (n) [m] that each stands for."""
-    dots, weight = [], []
-    for line in lines:
-        step = np.hypot(*np.diff(line, axis=0).T)
-        s = np.concatenate([[0.0], np.cumsum(step)])
-        count = max(2, int(np.ceil(s[-1] / APART)))
-        at = (np.arange(count) + 0.5) * s[-1] / count
-        dots.append(np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)]))
-        weight.append(np.full(count, s[-1] / count))
-    return np.concatenate(dots), np.concatenate(weight)
-
-
-def _from_lines(lines: Sequence[Array], points: Array) -> Array:
-    """Distances (n) of points (n, 2) from the nearest of some lines."""
-    import shapely
-
-    pieces = [line[i : i + _PIECE + 1] for line in lines for i in range(0, len(line) - 1, _PIECE)]
-    if not pieces:
-        return np.full(len(points), np.inf)
-    indices = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
-    tree = shapely.STRtree(shapely.linestrings(np.concatenate(pieces), indices=indices))
-    (asked, _), away = tree.query_nearest(shapely.points(points), return_distance=True, all_matches=False)
-    out = np.full(len(points), np.inf)
-    out[asked] = away
-    return out
+    return Check(WHOLE, worst, limit, "of its length", worst <= limit, where)
 
 
 def _obstacles(judged: Judged, places: Places) -> Check:
