@@ -397,7 +397,7 @@ CHECKS: dict[str, Measure] = {
         "of its area",
         "no place of a layer is left out: walls are there, and lines no farther apart than they are to be",
         "share of the places, half a bead and more within the outline, that no executed tip comes near to, in the worst layer; "
-        "where notes say that some is left out, in all layers; the limit is 0.003 and that",
+        "where notes say that some is left out, in all layers; the limit is 0.005 and that",
         ONLY_FILLED,
     ),
     "layers as dense as asked": Measure(

@@ -19,6 +19,7 @@ from planner.base.arrays import Array
 from planner.problem.layers import AerofoilSpec, TipSpec
 
 _DENSE = 3000  # points of a side: 0.3 um off it at a chord of 100 mm
+_FINE = 30_000  # places at which NACA's formula is asked
 _DEGREE = 5
 _STATIONS = 25  # along the span, at which the nearest line is looked for
 _BEYOND = 0.25  # of the span, by which lines go on
@@ -72,7 +73,7 @@ def _section(named: AerofoilSpec | TipSpec, chord: float, nose: Array, down: flo
 def _naca(digits: str) -> Sides:
     """A section of four digits, of chord 1, by the formula of NACA report 460."""
     m, p, t = int(digits[0]) * 0.01, int(digits[1]) * 0.1, int(digits[2:]) * 0.01
-    turn = np.linspace(0.0, np.pi, _DENSE)
+    turn = np.linspace(0.0, np.pi, _FINE)
     x = np.sin(0.5 * turn) ** 2
     thick = t / 0.2 * (0.2969 * np.sin(0.5 * turn) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
     if m == 0.0:
@@ -113,8 +114,8 @@ def _of_file(path: Path, changed: int, size: int) -> Sides:
     knots = np.concatenate([np.full(_DEGREE + 1, t[0]), t[half:-half], np.full(_DEGREE + 1, t[-1])])
     curve = BSpline(knots, np.linalg.solve(BSpline.design_matrix(t, knots, _DEGREE).toarray(), points), _DEGREE)
     bounds = ((t[nose], t[0]), (t[nose], t[-1]))  # both from the nose on
-    at = [np.linspace(a, b, _DENSE) for a, b in bounds]
-    return Sides(*(_spread(abs(t - t[0]), curve(t), _unit(curve(t, 1)) * np.sign(t[-1] - t[0])) for t in at))
+    at = [a + _shares() * (b - a) for a, b in bounds]
+    return Sides(*((curve(t), _unit(curve(t, 1)) * np.sign(t[-1] - t[0])) for t in at))
 
 
 def _rows(path: Path) -> Array:
@@ -133,11 +134,15 @@ def _rows(path: Path) -> Array:
     return np.array(rows)
 
 
+def _shares() -> Array:
+    """Shares of a side's parameter at its points: denser at both ends."""
+    return np.asarray(np.sin(0.25 * np.pi * (1.0 - np.cos(np.linspace(0.0, np.pi, _DENSE)))) ** 2)
+
+
 def _spread(s: Array, points: Array, along: Array) -> tuple[Array, Array]:
     """A line by its parameters s (n), at the same shares of them for every section: points, and unit tangents (n, 2)."""
-    shares = np.sin(0.25 * np.pi * (1.0 - np.cos(np.linspace(0.0, np.pi, _DENSE)))) ** 2  # denser at both ends
     columns = np.column_stack([points, along])
-    out = np.column_stack([np.interp(shares * s[-1], s, column) for column in columns.T])
+    out = np.column_stack([np.interp(_shares() * s[-1], s, column) for column in columns.T])
     return out[:, :2], _unit(out[:, 2:])
 
 

@@ -15,7 +15,7 @@ from planner.verify.checks import DIGITS, EVERYWHERE, Judged, place
 APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
 OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
 SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
-_CORNERS = 0.003  # of a layer, besides what may be left out: beside rounded turns and narrow ends
+_CORNERS = 0.005  # of a layer, besides what may be left out: beside rounded turns and narrow ends
 AXIS = np.radians(0.05)  # beyond the nozzle's cone
 ON_PART, NORMAL = "layers on the part", "nozzle normal to the part"
 DRAWN, WHOLE = "print on the drawn path", "drawn path left out"

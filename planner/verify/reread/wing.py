@@ -39,6 +39,7 @@ _CLOSER = 3  # steps to the foot of a place; each comes some thirty times nearer
 _STATIONS = 17  # along the span, at which the outline of a layer is measured where it changes
 _PIECE = 3.3  # bead widths: where a layer is narrower it may be left out, as pieces shorter than three are
 _NEAR = 0.75  # distances of passes from a pass: half of it is as far as can be
+_TURNED = np.radians(0.05)  # by which normals of two curves through the same points may differ
 _STRETCHED = 1.05  # by which passes may be farther apart in places
 _SLANTED = 1.35  # distances of passes from a pass where they meet edges at an angle
 _LOOP = 5e-6  # m, by which a parallel comes nearer to its own side than its depth where it crosses itself
@@ -143,7 +144,7 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
     off, normals, which = _on_layers(body, {k: found[k] for k in known}, places)
     yield worst_of(judged, places, ON_PART, np.abs(off) * 1e3, OFF_LEVEL * 1e3, "mm")
     lean = np.degrees(np.arccos(np.clip((normals * places.up).sum(axis=1), -1.0, 1.0)))
-    yield worst_of(judged, places, NORMAL, lean, float(np.degrees(process.cones.tilt + AXIS)), "deg")
+    yield worst_of(judged, places, NORMAL, lean, float(np.degrees(process.cones.tilt + AXIS + _TURNED)), "deg")
     beyond = np.zeros(len(places.tip))
     for k, own in by_number(which):
         area = found[k][1]  # passes end by their own lengths, however edges slant there
