@@ -117,7 +117,7 @@ def core(judged: Judged, places: Places) -> Iterator[Check]:
         which,
         places,
         limit + between(judged),
-        2.0 * off_by / np.cos(spec.tilt) + OFF_LEVEL,
+        2.0 * bound,
     )
 
 
