@@ -26,6 +26,9 @@ class Measure:
 ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
 ONLY_ON_PARTS = "curves are laid on a part"
 ONLY_REREAD = "the source is a drawing, a pattern, curves, waypoints or G-code"
+ONLY_SURFACES = "the source is no waypoints and no G-code"
+ONLY_BODIES = "a wing, a core, a mesh or STEP faces are printed"
+ONLY_FILLED = "a wing, a mesh or STEP faces are printed"
 ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may turn the nozzle from its normals"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
@@ -370,16 +373,39 @@ CHECKS: dict[str, Measure] = {
     ),
     "layers on the part": Measure(
         "mm",
-        "each layer lies as many layer heights above the part as it is to",
-        "executed tip, brought down along the normals of the part's own formula; of meshes its distance from the file's facets, "
-        "whose limit is part.mesh.smooth_mm, 0.5 unless it is given",
-        ONLY_ON_PARTS,
+        "each layer lies where it is to: as many layer heights above the part, or inside a wing's side, or on its way through a "
+        "body",
+        "executed tip against formulas of the part, a wing's sections, triangles of STEP faces or a file's facets, each read "
+        "anew; for facets the limit is 0.05 and what notes tell of a smooth surface",
+        ONLY_SURFACES,
     ),
     "nozzle normal to the part": Measure(
         "deg",
-        "the nozzle's axis is that of the part's normal, or within its cone",
-        "executed axis against the gradient of the part's own formula",
-        "the part is a body of a formula",
+        "the nozzle's axis is that of the layer's normal, or within its cone",
+        "executed axis against normals of the same; of facets over some millimetres, 1 degree besides, and what normals over "
+        "shorter and longer ways differ",
+        ONLY_SURFACES,
+    ),
+    "beads within the part": Measure(
+        "mm",
+        "beads lie within the outline of their layer, or above the faces that are covered",
+        "how far beads reach beyond it; of cores how much less room there is than a layer needs; the limit is half a bead's width "
+        "at most, of STEP faces process.corner_tolerance_mm",
+        ONLY_BODIES,
+    ),
+    "layers filled": Measure(
+        "of its area",
+        "no place of a layer is left out: walls are there, and lines no farther apart than they are to be",
+        "share of the places, half a bead and more within the outline, that no executed tip comes near to, in the worst layer; "
+        "where notes say that some is left out, in all layers; the limit is 0.005 and that",
+        ONLY_FILLED,
+    ),
+    "layers as dense as asked": Measure(
+        "of what is asked",
+        "beads hold as much of a body as walls and infill ask for",
+        "executed length times the beads' width against the area of all layers; the limit is 0.05 below 0.95, or below what notes "
+        "say that beads hold",
+        "a mesh is filled with layers",
     ),
     "print on the drawn path": Measure(
         "mm",
@@ -392,7 +418,7 @@ CHECKS: dict[str, Measure] = {
         "of its length",
         "what the problem's file says is printed, on each layer",
         "share of the file's paths that no executed tip comes near to, in the worst layer; the limit is "
-        "layers.source.leave_out_share where a note tells what was left out, else 0.001",
+        "0.001 and the share that notes say is left out, layers.source.leave_out_share at most",
         ONLY_REREAD,
     ),
     "obstacles where the print is": Measure(

@@ -161,6 +161,22 @@ class Split:
 
 
 @dataclass(frozen=True)
+class Told:
+    """What the notes of a toolpath say in figures: by how much it is not its input.
+
+    left_out  share of the source's length, or of a body's volume, that is not printed
+    open      share of a body's volume that stays open between walls
+    held      share of what walls and infill ask for that beads hold
+    off       by how much beads lie off a file's facets, at most [m]; 0 where that is too little to be told
+    """
+
+    left_out: float = 0.0
+    open: float = 0.0
+    held: float = 1.0
+    off: float = 0.0
+
+
+@dataclass(frozen=True)
 class Toolpath:
     """All beads in print order, and the surface they lie on.
 
@@ -169,6 +185,7 @@ class Toolpath:
     notes  sentences for the user: what was left out of the input, or changed in it
     splits where drawn beads are laid in pieces
     left_out  lines (n, 3) of what was drawn and is not printed [m], to be shown
+    told   the figures in the notes
     """
 
     beads: tuple[Bead, ...]
@@ -178,6 +195,7 @@ class Toolpath:
     solid: Array | None = None
     splits: tuple[Split, ...] = ()
     left_out: tuple[Array, ...] = ()
+    told: Told = Told()
 
     @property
     def length(self) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.drawings import DxfSpec, LayersSpec, WrappedDxfSpec
-from planner.toolpath.bead import Bead, Toolpath, cylinder_shape
+from planner.toolpath.bead import Bead, Told, Toolpath, cylinder_shape
 from planner.toolpath.dxf.reader import read_dxf
 from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import (
@@ -117,7 +117,7 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
         curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
     specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
-    return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks)
+    return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks, told=Told(clipped.share))
 
 
 def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:

@@ -16,7 +16,7 @@ from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import SectionName
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, read_gcode
 from planner.toolpath.gcode.threads import SIZES, ChosenThreads, PrintedThread, choose
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, densify, length, make_bead, round_corners
@@ -114,7 +114,8 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
         name = f"path {number}" + (f" ({step.thread.kind})" if step.thread.kind else "")
         curve, sizes = _laid(step, process.corner_tolerance, filament, process.section, file, name)
         beads.append(_bead(step, curve, sizes, origin, materials[step.thread.tool]))
-    return Toolpath(tuple(beads), LevelLayers.of(beads), notes=(*chosen.notes, *_sizes_and_speeds(file, read, beads)))
+    notes = (*chosen.notes, *_sizes_and_speeds(file, read, beads))
+    return Toolpath(tuple(beads), LevelLayers.of(beads), notes=notes, told=Told(chosen.left_out))
 
 
 def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: ChosenThreads) -> None:

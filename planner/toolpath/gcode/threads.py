@@ -41,6 +41,7 @@ class ChosenThreads:
     steps: tuple[PrintedThread, ...]
     above: tuple[PrintedThread, ...]
     notes: tuple[str, ...]
+    left_out: float
 
 
 def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenThreads:
@@ -67,7 +68,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
             "the part frame's xy plane is the bed: z = 0 in most files",
         )
     steps = list(_in_layers(kept, levels, file, read.height))
-    steps, told = _without_specks(problem, spec, steps)
+    steps, told, specks = _without_specks(problem, spec, steps)
     notes += told
     first = steps[0]
     if first.layer == 0 and first.height < _LOW * bottom:
@@ -82,7 +83,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
     if asked < layers:
         notes.append(f"{file.name}: the lowest {asked} of {layers} layers")
     printed, above = (tuple(step for step in steps if (step.layer < asked) == low) for low in (True, False))
-    return ChosenThreads(printed, above, tuple(notes))
+    return ChosenThreads(printed, above, tuple(notes), specks)
 
 
 def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
@@ -231,13 +232,13 @@ def _heights(threads: Sequence[Thread], layers: Ints, levels: Array, usual: floa
 
 def _without_specks(
     problem: Problem, spec: GcodeLayersSpec, steps: list[PrintedThread]
-) -> tuple[list[PrintedThread], list[str]]:
-    """The threads that are as long as a bead is wide."""
+) -> tuple[list[PrintedThread], list[str], float]:
+    """The threads that are as long as a bead is wide, what is told of the others, and their share of the length."""
     width, name = problem.process.bead.width, spec.source.gcode.name
     lengths = np.array([step.thread.length for step in steps])
     short = lengths < width
     if not short.any():
-        return steps, []
+        return steps, [], 0.0
     if short.all():
         reason = f"all that {name} extrudes is shorter than a bead is wide"
         raise problem.error("process.bead.width_mm", reason, "shorter pieces are specks, which are left out")
@@ -257,7 +258,8 @@ def _without_specks(
     # a layer of specks alone is none
     numbers = {layer: i for i, layer in enumerate(sorted({step.layer for step in kept}))}
     kept = [PrintedThread(step.thread, numbers[step.layer], step.height) for step in kept]
-    return kept, [f"{name}: {pieces}, left out, {share:.2%} of the length (line{'s' if count > 1 else ''} {where})"]
+    note = f"{name}: {pieces}, left out, {share:.2%} of the length (line{'s' if count > 1 else ''} {where})"
+    return kept, [note], share
 
 
 def _metres(threads: Sequence[Thread]) -> str:

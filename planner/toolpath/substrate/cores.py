@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.layers import CoreLayersSpec
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.clipping import share_words, trim_curve, trim_path
@@ -203,7 +203,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     trimmed = [path for path in trimmed if length(path.points) >= shortest]
     if not trimmed:
         raise _no_room(problem, "all pieces of the pattern within the core are too short")
-    surface = _surface(problem, spec, space, trimmed, least)
+    surface, meshes = _surface(problem, spec, space, trimmed, least)
     curves = [_rounded(problem, surface, path) for path in trimmed]
 
     rows: list[list[PlaneCurve]] = []
@@ -220,15 +220,17 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
             break
     if not rows:
         raise _no_room(problem, "no layer has a piece that is long enough")
-    _check_left_out(
-        problem, spec.source.crumbs, sum(left_out), sum(length(each.points) for row in rows for each in row)
-    )
+    lost, kept = sum(left_out), sum(length(each.points) for row in rows for each in row)
+    _check_left_out(problem, spec.source.crumbs, lost, kept)
     surface = replace(surface, levels=tuple(laid))
     share = process.bead.height / spec.height
     beads = _lay(surface, rows, process.bead.width, share)
     surface = replace(surface, layers=tuple(bead.layer for bead in beads))
     body = surface.body
-    return Toolpath(tuple(beads), surface, body.shape(), _notes(body, left_out, shortest), body.facets.corners)
+    told = Told(lost / (lost + kept), off=body.told_gap)
+    return Toolpath(
+        tuple(beads), surface, body.shape(), _notes(meshes, left_out, shortest), body.facets.corners, told=told
+    )
 
 
 def _check_left_out(problem: Problem, most: float, lost: float, laid: float) -> None:
@@ -307,8 +309,9 @@ def _no_room(problem: Problem, reason: str) -> Exception:
 
 def _surface(
     problem: Problem, spec: CoreLayersSpec, space: _Space, paths: Sequence[PlanePath], least: float
-) -> CoreSurface:
-    """Body and middle as smooth surfaces with the same knots, near paths that keep `least` [m] between them."""
+) -> tuple[CoreSurface, dict[str, MeshTop]]:
+    """Body and middle as smooth surfaces with the same knots, near paths that keep `least` [m] between them; and the meshes
+    that they are laid through, by the keys that name them."""
 
     def part(plane: Array) -> NDArray[np.bool_]:
         return np.asarray(space.room(plane, spec.tilt + _FARTHER) >= _PART * least)
@@ -320,17 +323,18 @@ def _surface(
             reach = reach_beside(facets, near, reach)
     own = problem.part.mesh.smooth if problem.part is not None and problem.part.mesh is not None else None
     body = smooth_top(space.body, near, reach, own, partial(problem.error, "part.mesh.file"), part)
-    lower = body.surface
+    lower, meshes = body.surface, {"part.mesh": body}
     if isinstance(space.middle, float):
         middle = lower.level(space.middle)
     else:
         bound = None if spec.up_to.mesh is None else spec.up_to.mesh.smooth
-        middle = smooth_top(space.middle, near, reach, bound, partial(problem.error, _MIDDLE), part).surface
+        top = smooth_top(space.middle, near, reach, bound, partial(problem.error, _MIDDLE), part)
+        middle, meshes["layers.up_to.mesh"] = top.surface, top
         if middle.step < lower.step:
             lower = lower.refined(middle)
         middle = middle.refined(lower)
     upright = float(np.cos(spec.tilt + _STEEPER))
-    return CoreSurface(body, lower, middle, least, upright, (), (), 0, {})
+    return CoreSurface(body, lower, middle, least, upright, (), (), 0, {}), meshes
 
 
 def _rounded(problem: Problem, surface: CoreSurface, path: PlanePath) -> PlaneCurve:
@@ -379,8 +383,8 @@ def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: floa
     return beads
 
 
-def _notes(body: MeshTop, left_out: Sequence[float], shortest: float) -> tuple[str, ...]:
-    notes = [f"part.mesh: {body.words}"] if body.words else []
+def _notes(meshes: dict[str, MeshTop], left_out: Sequence[float], shortest: float) -> tuple[str, ...]:
+    notes = [f"{name}: {top.words}" for name, top in meshes.items() if top.words]
     if left_out:
         total, count = sum(left_out) * 1e3, len(left_out)
         pieces = "1 piece" if count == 1 else f"{count} pieces"

@@ -115,6 +115,11 @@ class MeshTop:
         return "; ".join(each for each in (turned, self._smoothed) if each)
 
     @property
+    def told_gap(self) -> float:
+        """By how much the surface is told to leave the facets [m]; 0 where that is no more than usual."""
+        return self.gap if self.why else 0.0
+
+    @property
     def _smoothed(self) -> str:
         """What is to be said of a surface that leaves the facets by more than usual, or would have to."""
         if MOST_UNASKED < self.too_far <= MOST_ASKED:

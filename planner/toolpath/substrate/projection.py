@@ -30,7 +30,7 @@ from planner.problem.drawings import (
 from planner.problem.mesh_files import read_facets
 from planner.problem.mesh_repair import facing_alike
 from planner.problem.part import MeshSpec, PartSpec, StepSpec
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.dxf.reader import read_dxf
 from planner.toolpath.nurbs import nurbs_paths
 from planner.toolpath.ordering import reverse, shorten_travel
@@ -209,7 +209,8 @@ def project_curves(
     if spec.facing is not None and isinstance(body, MeshTop):
         substrate = substrate.facing(rows, spec.facing, body.facets)
     toolpath = _laid(substrate, rows, bead.width, bead.height)
-    toolpath = replace(toolpath, notes=(*toolpath.notes, *clipped.notes))
+    told = replace(toolpath.told, left_out=clipped.share)
+    toolpath = replace(toolpath, notes=(*toolpath.notes, *clipped.notes), told=told)
     if not clipped.cuts:
         return toolpath
     plane = np.vstack([curve.points for curve in curves])
@@ -267,7 +268,7 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     if not isinstance(body, MeshTop):
         return Toolpath(tuple(beads), grown, body.shape(), body.faces.notes if isinstance(body, FaceTop) else ())
     notes = (f"part.mesh: {body.words}",) if body.words else ()
-    return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners)
+    return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners, told=Told(off=body.told_gap))
 
 
 def size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> str:

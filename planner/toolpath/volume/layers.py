@@ -20,7 +20,7 @@ from planner.problem import Problem
 from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.problem.mesh_files import read_facets, with_area
 from planner.problem.mesh_repair import Mended, count_of, facing_alike, mend
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.ordering import shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
@@ -57,8 +57,9 @@ _MOST_CLOSED = 0.4  # of the surface: where closing takes more, it is hardly a b
 
 def stack_of(
     problem: Problem, spec: VolumeLayersSpec, solid: Solid, tree: FacetTree
-) -> tuple[Morph, MeshTop | None, tuple[str, ...]]:
-    """The stack of layers between a body's surfaces, the mesh that it begins at if it does, and what is to be told of meshes.
+) -> tuple[Morph, MeshTop | None, tuple[str, ...], float]:
+    """The stack of layers between a body's surfaces, the mesh that it begins at if it does, what is to be told of meshes, and
+    by how much smooth surfaces are told to leave their facets [m].
 
     tree: of the body's facets
 
@@ -90,7 +91,9 @@ def stack_of(
         reason = f"the upper surface is nowhere above the lower one: {room * 1e3:.3f} mm at most"
         raise problem.error(field, reason, "the upper surface must lie above the lower one, within the body's outline")
     morph = Morph.between(lower, upper, spec.height, spec.thinnest, room, low - reach, high + reach)
-    return morph, base, tuple(f"{field}: {top.words}" for field, top in guides if top is not None and top.words)
+    meshes = [(field, top) for field, top in guides if top is not None]
+    told = tuple(f"{field}: {top.words}" for field, top in meshes if top.words)
+    return morph, base, told, max((top.told_gap for _, top in meshes), default=0.0)
 
 
 def _heights(
@@ -243,7 +246,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     corners = read_facets(spec.source.file, complain, lines=True)
     mended = _mended(corners, name, spec.source.holes, problem.process.bead.width, complain)
     solid = _solid(mended.corners, name, complain)
-    morph, base, told = stack_of(problem, spec, solid, FacetTree.of(with_area(mended.corners)))
+    morph, base, told, off = stack_of(problem, spec, solid, FacetTree.of(with_area(mended.corners)))
     longest = max(_CUT, float(np.ptp(solid.vertices[:, :2], axis=0).max()) / 400.0)
     try:
         fine = solid.finer(longest)
@@ -263,7 +266,8 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     surface = MorphedLayers(morph, base, tuple(regions), tuple(bead.layer for bead in beads))
     shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
     notes = ((f"{name}: {mended.words}",) if mended.words else ()) + _notes(name, morph, rows, beads, lost) + told
-    return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph))
+    figures = Told(lost.share, lost.open, lost.held, off)
+    return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph), told=figures)
 
 
 def _mended(corners: Array, name: str, asked: float | None, width: float, complain: Complaint) -> Mended:

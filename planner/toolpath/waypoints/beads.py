@@ -21,7 +21,7 @@ from planner.base.processes import of_each
 from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.problem.process import ProcessSpec
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
@@ -184,7 +184,7 @@ def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile
         notes = [f"{file.name}: {told}"]
     else:
         notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
-    return Toolpath(laid, surface, notes=(*read.notes, *notes))
+    return Toolpath(laid, surface, notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
 def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> Toolpath:
@@ -200,7 +200,7 @@ def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> 
     laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
     notes = [f"{spec.source.waypoints.name}: {told}"] if told else []
-    return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes))
+    return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
 def diameter_of(process: ProcessSpec) -> float:

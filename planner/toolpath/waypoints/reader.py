@@ -305,10 +305,12 @@ class Waypoints(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class WaypointFile:
-    """The beads of a file in its order, and what was left out or changed, in words for the user."""
+    """The beads of a file in its order, what was left out or changed, in words for the user, and the share of the length that
+    was left out."""
 
     beads: tuple[Waypoints, ...]
     notes: tuple[str, ...]
+    left_out: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -356,7 +358,7 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
     if len(rows.points) < 2:
         raise complain(f"{path.name} holds no two different waypoints")
     split = _greatest_step(rows, spec)
-    parts, crumbs = _without_crumbs(_split(rows, split), spec.crumbs, width)
+    parts, crumbs, lost = _without_crumbs(_split(rows, split), spec.crumbs, width)
     for part in parts.values():
         _check_alone(part, split, path)
     beads = [
@@ -367,7 +369,7 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
         for i, cut in parts.items()
     ]  # fmt: skip
     left_out = [f"{path.name}: {crumbs}"] if crumbs else []
-    return WaypointFile(tuple(beads), (*_notes(path, columns.unused, repeated), *left_out))
+    return WaypointFile(tuple(beads), (*_notes(path, columns.unused, repeated), *left_out), lost)
 
 
 def _notes(path: Path, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
@@ -472,8 +474,8 @@ def _check_alone(part: _Rows, split: float, path: Path) -> None:
     raise InputError(reason, file=path, line=int(part.lines[0]), hint=hint)
 
 
-def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple[dict[int, _Rows], str]:
-    """Parts of a file by their number from 1 on, without crumbs, and what was changed in words.
+def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple[dict[int, _Rows], str, float]:
+    """Parts of a file by their number from 1 on, without crumbs, what was changed in words, and the share that is left out.
 
     Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
     say): they are left out. A normal that points the other way than those around it is turned round. If all that makes up
@@ -483,7 +485,7 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
     everything = dict(enumerate(parts, 1))
     steps = np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])
     if not len(steps):
-        return everything, ""
+        return everything, "", 0.0
     usual, total = float(np.median(steps)), float(steps.sum())
     alone, short, stray, lost = [], [], [], 0.0
     kept: dict[int, _Rows] = {}
@@ -502,7 +504,7 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
             kept[i] = replace(part, normals=np.where(turned[:, None], -part.normals, part.normals))
     spared = usual if len(stray) == 1 and share > 0.0 else 0.0
     if not kept or lost - spared > share * total:
-        return everything, ""
+        return everything, "", 0.0
     told = [
         f"{what} {len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
         for lines, what, one, many in (
@@ -512,7 +514,9 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
         )
         if lines
     ]
-    return kept, f"{'; '.join(told)}: {lost / total:.2%} of the length" if told else ""
+    if not told:
+        return kept, "", 0.0
+    return kept, f"{'; '.join(told)}: {lost / total:.2%} of the length", (lost - usual * len(stray)) / total
 
 
 def _lines(numbers: Sequence[int]) -> str:

@@ -115,6 +115,8 @@ def _along(sheet: WingSheet, filling: Filling, stretch: PassSpacing) -> tuple[li
     ends = sheet.unrolled(np.nan_to_num(edges).ravel(), np.repeat(y, edges[0].size)).reshape(edges.shape)
     ends = np.sort(np.where(np.isnan(edges), np.nan, ends) - shift[:, None, None], axis=2)
     pitch = filling.width * filling.spacing * np.hypot(1.0, sheet.slope) / stretch.mean
+    if np.isnan(ends).all():  # too short along the span for a bead to turn
+        return [], filling.width
     low, high = np.nanmin(ends), np.nanmax(ends)
     count = max(round((high - low) / pitch), 1)
     pitch = (high - low) / count

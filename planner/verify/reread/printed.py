@@ -8,12 +8,11 @@ measures of the problem, and obstacles are where part and print are.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags, Ints
+from planner.base.arrays import Array
 from planner.collision.print_body import CLEARANCE, PART
 from planner.plan import Check
 from planner.problem.drawings import (
@@ -25,67 +24,61 @@ from planner.problem.drawings import (
 )
 from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.part import PartSpec
-from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
+from planner.verify.checks import EVERYWHERE, Findings, Judged
+from planner.verify.reread.core import core
+from planner.verify.reread.faces import faces
+from planner.verify.reread.facets import facets_of
+from planner.verify.reread.lines import distances_from_lines, dots_of_lines
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
+from planner.verify.reread.places import (
+    APART,
+    AXIS,
+    DRAWN,
+    NORMAL,
+    OFF_LEVEL,
+    ON_PART,
+    WHOLE,
+    Places,
+    begun_layers,
+    between,
+    by_number,
+    may_be_left,
+    places_of,
+    worst_of,
+)
 from planner.verify.reread.plane_curves import NotRead, read_again
 from planner.verify.reread.points import distances_from, dots_along, segments_of
+from planner.verify.reread.slopes import axis_along, normals_over, off_facets
+from planner.verify.reread.volume import volume
+from planner.verify.reread.wing import wing
 
-_APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
-_OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
-_FACETS = 0.5e-3  # m that beads may lie off facets, where the problem does not say how far
 _BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
-_AXIS = np.radians(0.05)  # beyond the nozzle's cone
-_SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
 _BEAD = 1e-9  # m, rounding of widths and heights
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
-_DRAWN, _WHOLE = "print on the drawn path", "drawn path left out"
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
-_PIECE = 16  # chords of a line in the tree of lines
-
-
-@dataclass(frozen=True)
-class Places:
-    """Places of the executed motion (n) on beads: tip (n, 3), outward axis (n, 3), bead and layer, and the sample."""
-
-    tip: Array
-    up: Array
-    bead: Ints
-    layer: Ints
-    sample: Ints
 
 
 def as_the_problem_says(judged: Judged) -> Findings:
     """All checks of what is printed against the problem itself."""
     if not judged.trajectory.deposit.any():
         return Findings()  # that nothing is laid is another check's
-    places = _places(judged)
+    places = places_of(judged)
     checks = [
         *_measures(judged),
         *_on_the_part(judged, places),
         *_on_the_drawing(judged, places),
         *_on_the_points(judged, places),
+        *wing(judged, places),
+        *core(judged, places),
+        *volume(judged, places),
+        *faces(judged, places),
     ]
     return Findings((*checks, _obstacles(judged, places)))
-
-
-def _places(judged: Judged) -> Places:
-    """Samples of beads, no nearer to each other than need be."""
-    t, motion = judged.trajectory, judged.motion
-    at = np.flatnonzero(t.deposit)
-    step = np.floor(t.s[at] / _APART)
-    kept = np.ones(len(at), dtype=bool)
-    same = t.bead[at][1:] == t.bead[at][:-1]
-    kept[1:] = ~same | (step[1:] != step[:-1])
-    kept[:-1] |= ~same
-    kept[-1] = True
-    at = at[kept]
-    layers = np.array([bead.layer for bead in judged.toolpath.beads], dtype=np.int64)
-    return Places(motion.tip[at], -motion.axis[at], t.bead[at].astype(np.int64), layers[t.bead[at]], at)
 
 
 def _measures(judged: Judged) -> Iterator[Check]:
@@ -119,10 +112,10 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
             off, normal = value / size, gradient / size[:, None]
         else:
             _, off, normal = feet(level, places.tip, rise)
-        yield _worst(judged, places, "layers on the part", np.abs(off) * 1e3, _OFF_LEVEL * 1e3, "mm")
+        yield worst_of(judged, places, ON_PART, np.abs(off) * 1e3, OFF_LEVEL * 1e3, "mm")
         lean = np.arccos(np.clip((normal * places.up).sum(axis=1), -1.0, 1.0))
-        most = np.degrees(judged.problem.process.cones.tilt + _AXIS)
-        yield _worst(judged, places, "nozzle normal to the part", np.degrees(lean), most, "deg")
+        most = np.degrees(judged.problem.process.cones.tilt + AXIS)
+        yield worst_of(judged, places, NORMAL, np.degrees(lean), most, "deg")
     elif part.mesh is not None:
         few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
         height = rise[few]
@@ -130,9 +123,13 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
             off = distances_from_facets(part.mesh, places.tip[few] - height[:, None] * [0.0, 0.0, 1.0])
         else:
             off = np.abs(distances_from_facets(part.mesh, places.tip[few]) - height)
-        bound = (part.mesh.smooth or _FACETS) + _OFF_LEVEL
+        bound = off_facets(judged) + OFF_LEVEL
         off = np.maximum(off - _BENT * height, 0.0)
-        yield _worst(judged, _some(places, few), "layers on the part", off * 1e3, bound * 1e3, "mm")
+        some = places.some(few)
+        yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
+        foot = some.tip[:, :2] - (0.0 if along_z else height[:, None] * some.up[:, :2])
+        facets = facets_of(part.mesh)
+        yield axis_along(judged, some, normals_over(lambda plane: facets.top(plane)[0], foot))
 
 
 def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
@@ -143,18 +140,18 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     source = layers.source  # type: ignore[union-attr]
     drawn = read_again(source)
     if isinstance(drawn, NotRead):
-        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
+        yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
         return
     plane = _in_the_plane(judged, part, places)
     lines = [line for line in drawn if len(line) > 1]
-    limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + _OFF_LEVEL
+    limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
     if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
         limit += _BENT * layers.height * layers.count
-    off = _from_lines(lines, plane)
-    yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
-    yield _whole(judged, places, plane, lines, limit + _between(judged), layers.count)
+    off = distances_from_lines(lines, plane)
+    yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
+    yield _whole(judged, places, plane, lines, limit + between(judged), layers.count)
 
 
 def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
@@ -164,29 +161,31 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         return
     found = segments_of(layers.source)
     if isinstance(found, NotRead):
-        yield Check(_DRAWN, 0.0, 0.0, "mm", True, f"not read again: {found.why}")
+        yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {found.why}")
         return
     length = np.linalg.norm(found.end - found.start, axis=1)
-    dots, which = dots_along(found, max(_APART, float(length.sum()) / _MOST))
+    dots, which = dots_along(found, max(APART, float(length.sum()) / _MOST))
     near = cKDTree(dots).query(places.tip, k=min(_NEAREST, len(dots)))[1].reshape(len(places.tip), -1)
     off = distances_from(found, places.tip, [which[k] for k in near.T])
-    limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + _OFF_LEVEL
-    yield _worst(judged, places, _DRAWN, off * 1e3, limit * 1e3, "mm")
+    limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
+    yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
     some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
     if found.needed is None or not found.needed.any() or some or judged.trajectory.first_bead:
         return
     if found.bend > 0.0:  # only the waypoints themselves are sure to be passed
         dots, which = found.start, np.arange(len(length))
     weight = (length / np.bincount(which))[which]
+    if found.bend > 0.0:  # a waypoint stands for no more than a usual step, however far the next one is
+        weight = np.minimum(weight, float(np.median(length)))
     wanted = found.needed[which]
     dots, weight = dots[wanted], weight[wanted]
     sense = np.array([1.0, 1.0, 1.0 if found.bend > 0.0 else _LEVEL])
-    lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + _between(judged)
-    share, most = float(weight[lost].sum() / weight.sum()), _may_be_left(judged, layers.source.crumbs)
+    lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + between(judged)
+    share, most = float(weight[lost].sum() / weight.sum()), may_be_left(judged, layers.source.crumbs)
     where = EVERYWHERE
     if lost.any():
         where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
-    yield Check(_WHOLE, share, most, "of its length", share <= most, where)
+    yield Check(WHOLE, share, most, "of its length", share <= most, where)
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
@@ -206,7 +205,7 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
         foot = feet(level, places.tip, rise)[0]
     else:  # of files, the toolpath's own normals say which way layers grow
         foot = np.empty_like(places.tip)
-        for bead, own in _by(places.bead):
+        for bead, own in by_number(places.bead):
             laid, at = judged.toolpath.beads[bead], judged.trajectory.s[places.sample[own]]
             normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
             foot[own] = places.tip[own] - rise[own, None] * normal
@@ -216,67 +215,28 @@ def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
 
 def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float, count: int) -> Check:
     """The share of what is drawn that no bead of a layer comes near to, in the worst of those that are wholly printed."""
-    begun = {bead.layer for bead in judged.toolpath.beads[: judged.trajectory.first_bead]}
-    dots, weight = _dots(lines)
+    begun = begun_layers(judged)
+    dots, weight = dots_of_lines(lines)
     where, worst = EVERYWHERE, 0.0
-    printed = dict(_by(places.layer))
+    printed = dict(by_number(places.layer))
     for layer in range(count):
         if layer in begun:
             continue
         own = printed.get(layer, np.zeros(0, dtype=np.int64))
         pieces = np.split(plane[own], np.flatnonzero(np.diff(places.bead[own])) + 1)
-        lost = _from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
+        lost = distances_from_lines([piece for piece in pieces if len(piece) > 1], dots) > near
         share = float(weight[lost].sum() / weight.sum())
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
             where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
-    limit = _may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
-    return Check(_WHOLE, worst, limit, "of its length", worst <= limit, where)
-
-
-def _between(judged: Judged) -> float:
-    """How far apart places of the motion may be [m], and the ends of a bead from the first and the last of them."""
-    return max(_APART, judged.problem.process.speed * judged.trajectory.dt)
-
-
-def _may_be_left(judged: Judged, crumbs: float) -> float:
-    """The share of the length that may be missing: next to nothing where nothing is told of it."""
-    told = judged.toolpath.left_out or judged.toolpath.notes
-    return (crumbs if told else 0.0) + _SHORT
-
-
-def _dots(lines: Sequence[Array]) -> tuple[Array, Array]:
-    """Places (n, 2) along lines, and the length (n) [m] that each stands for."""
-    dots, weight = [], []
-    for line in lines:
-        step = np.hypot(*np.diff(line, axis=0).T)
-        s = np.concatenate([[0.0], np.cumsum(step)])
-        count = max(2, int(np.ceil(s[-1] / _APART)))
-        at = (np.arange(count) + 0.5) * s[-1] / count
-        dots.append(np.column_stack([np.interp(at, s, line[:, k]) for k in (0, 1)]))
-        weight.append(np.full(count, s[-1] / count))
-    return np.concatenate(dots), np.concatenate(weight)
-
-
-def _from_lines(lines: Sequence[Array], points: Array) -> Array:
-    """Distances (n) of points (n, 2) from the nearest of some lines."""
-    import shapely
-
-    pieces = [line[i : i + _PIECE + 1] for line in lines for i in range(0, len(line) - 1, _PIECE)]
-    if not pieces:
-        return np.full(len(points), np.inf)
-    indices = np.repeat(np.arange(len(pieces)), [len(piece) for piece in pieces])
-    tree = shapely.STRtree(shapely.linestrings(np.concatenate(pieces), indices=indices))
-    (asked, _), away = tree.query_nearest(shapely.points(points), return_distance=True, all_matches=False)
-    out = np.full(len(points), np.inf)
-    out[asked] = away
-    return out
+    limit = may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
+    return Check(WHOLE, worst, limit, "of its length", worst <= limit, where)
 
 
 def _obstacles(judged: Judged, places: Places) -> Check:
     """What is kept clear of is where beads are laid, and where the part is beneath the lowest layer."""
     few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
-    some, beads, body = _some(places, few), judged.toolpath.beads, judged.body
+    some, beads, body = places.some(few), judged.toolpath.beads, judged.body
     width, height = (
         np.array([float(getattr(b, name).max()) for b in beads])[some.bead] for name in ("width", "height")
     )
@@ -294,29 +254,10 @@ def _obstacles(judged: Judged, places: Places) -> Check:
         away, at = cKDTree(body.tree.points[part]).query(some.tip[lowest])
         spread = np.sqrt((body.tree.radius[part][at] + CLEARANCE) ** 2 - CLEARANCE**2)
         off[lowest] = np.maximum(off[lowest], away - height[lowest] - spread)
-    return _worst(judged, some, "obstacles where the print is", np.maximum(off, 0.0) * 1e3, _STRAY * 1e3, "mm")
+    return worst_of(judged, some, "obstacles where the print is", np.maximum(off, 0.0) * 1e3, _STRAY * 1e3, "mm")
 
 
 def _bead_of(name: str) -> int:
     """The number of the bead that an obstacle is, by its name; -1 for others."""
     head, _, tail = name.partition(" ")
     return int(tail) if head == "bead" and tail.isdecimal() else -1
-
-
-def _by(number: Ints) -> Iterator[tuple[int, Ints]]:
-    """The numbers there are, and the places (k) of each."""
-    order = np.argsort(number, kind="stable")
-    found, first = np.unique(number[order], return_index=True)
-    yield from zip(found.tolist(), np.split(order, first[1:]), strict=True)
-
-
-def _some(places: Places, which: Ints | Flags) -> Places:
-    return Places(*(values[which] for values in vars(places).values()))
-
-
-def _worst(judged: Judged, places: Places, name: str, values: Array, limit: float, unit: str) -> Check:
-    """The check that no value (n) exceeds the limit, at the worst place. NaN fails."""
-    i = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
-    worst, sample = float(values[i]), int(places.sample[i])
-    ok = bool(worst <= limit * (1.0 + DIGITS))
-    return Check(name, worst, float(limit), unit, ok, place(judged.trajectory, sample), sample=sample)

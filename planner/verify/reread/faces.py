@@ -1,0 +1,100 @@
+"""Prints on faces of a STEP or IGES file: whether tips lie above the named faces as high as they are to, and cover them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.base.arrays import Array, Ints
+from planner.plan import Check
+from planner.problem.drawings import ProjectedLayersSpec
+from planner.problem.layers import FaceLayersSpec
+from planner.verify.checks import Judged
+from planner.verify.reread.places import (
+    AXIS,
+    INSIDE,
+    NORMAL,
+    OFF_LEVEL,
+    ON_PART,
+    Asked,
+    Places,
+    begun_layers,
+    beyond_limits,
+    filled,
+    not_read,
+    worst_of,
+)
+from planner.verify.reread.plane_curves import NotRead
+from planner.verify.reread.step_faces import OFF, MeshedFaces, meshed_faces
+
+_MOST = 20_000  # places of the print at which the nearest place of the faces is looked for
+_SMOOTH = 2e-5  # m that beads that are projected may lie off faces: a smooth surface crosses their seams
+_TURNED = np.radians(0.1)  # by which normals between corners of triangles are off those of a face
+_BENT = 50e-3  # m, radius by which faces may bend where a bead leaves their rims
+_RIM = 0.25  # distances of lines, by which rounded corners may leave faces
+_SPACED = 0.25  # distances of lines between places that are to be covered
+_NEAR = {"rows": 0.75}  # distances of lines from one: half of it is as far as rows leave places; paths through samples
+_THROUGH_SAMPLES = 1.4  # may leave a strip at an edge
+
+
+def faces(judged: Judged, places: Places) -> Iterator[Check]:
+    """All checks of a print on faces; none of another one."""
+    layers, part = judged.problem.layers, judged.problem.part
+    if part is None or part.step is None or not isinstance(layers, (FaceLayersSpec, ProjectedLayersSpec)):
+        return
+    covering = isinstance(layers, FaceLayersSpec)
+    try:
+        found = meshed_faces(part.step, layers.source.faces if covering else part.step.faces)  # type: ignore[union-attr]
+    except OSError as error:
+        yield not_read(f"{part.step.file.name}: {error.strerror}")
+        return
+    if isinstance(found, NotRead):
+        yield not_read(f"{part.step.file.name}: {found.why}")
+        return
+    some = places.some(np.unique(np.linspace(0, len(places.tip) - 1, _MOST).astype(np.int64)))
+    rise = (some.layer + 1.0) * layers.height
+    along_z = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"
+    tips = some.tip - rise[:, None] * [0.0, 0.0, 1.0] if along_z else some.tip
+    at = found.nearest(tips)
+    away = tips - at.points
+    normals = at.normals if along_z else at.normals * _sides(found, at.face, (away * at.normals).sum(axis=1))[:, None]
+    high = (away * normals).sum(axis=1)
+    off = np.abs(high) if along_z else np.abs(high - rise)
+    bound = OFF_LEVEL + OFF + (0.0 if covering else _SMOOTH)
+    yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
+    lean = np.arccos(np.clip((normals * some.up).sum(axis=1), -1.0, 1.0))
+    aside = np.linalg.norm(away - high[:, None] * normals, axis=1)
+    most = judged.problem.process.cones.tilt + AXIS + _TURNED + aside / _BENT
+    yield beyond_limits(judged, some, NORMAL, np.degrees(lean), np.degrees(most), "deg")
+    if isinstance(layers, FaceLayersSpec):
+        limit = min(judged.problem.process.corner_tolerance, _RIM * layers.source.spacing) + OFF_LEVEL
+        yield worst_of(judged, some, INSIDE, aside * 1e3, limit * 1e3, "mm")
+        yield _covered(judged, layers, found, places)
+
+
+def _sides(found: MeshedFaces, face: Ints, high: Array) -> Array:
+    """1 (n), or -1 of loose faces that look away from those that they are joined with: tips lie above these, too.
+
+    Not all of them may: one at least looks where the file says.
+    """
+    out = np.ones(len(high))
+    flipped = [k for k in np.unique(face).tolist() if not found.sure[k] and np.median(high[face == k]) < 0.0]
+    if len(flipped) < len(found.sure):
+        out[np.isin(face, flipped)] = -1.0
+    return out
+
+
+def _covered(judged: Judged, layers: FaceLayersSpec, found: MeshedFaces, places: Places) -> Check:
+    """What of the faces no bead comes near to."""
+    spacing = layers.source.spacing
+    points, area = found.spread(_SPACED * spacing)
+    near = _NEAR.get(layers.source.path, _THROUGH_SAMPLES) * spacing + OFF_LEVEL
+    begun = begun_layers(judged)
+    asked = {}
+    for layer in range(layers.count):
+        if layer in begun:
+            continue
+        rise = (layer + 1.0) * layers.height
+        asked[layer] = Asked(points, area, np.full(len(points), np.hypot(near, rise)), float(area.sum()))
+    return filled(places, asked, 0.0)

@@ -1,0 +1,56 @@
+"""Normals of surfaces that are known by their heights, from the slopes over several lengths, and the nozzle's axis against them.
+
+A smooth surface through facets turns where these do, and not as sharply: how far the normals over a short and over a long
+way differ says how well a normal is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.geometry import angles_between
+from planner.plan import Check
+from planner.verify.checks import Judged
+from planner.verify.reread.places import AXIS, NORMAL, Places, beyond_limits
+
+Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]; NaN beside
+
+SEEN = 2000  # places of the whole print at which normals are compared
+_OVER = (0.25e-3, 0.75e-3, 2e-3)  # m to either side
+_FACETS = np.radians(1.0)  # by which a smooth surface's normals are off facets' where these are fine
+_OFF = 0.05e-3  # m that beads may lie off facets, where nothing is told of it
+
+
+def off_facets(judged: Judged) -> float:
+    """How far smooth surfaces may be off facets [m]: what notes tell of, or as much as is not told."""
+    return max(judged.toolpath.told.off, _OFF)
+
+
+def few_of(places: Places) -> Places:
+    """Some places, even over the print."""
+    return places.some(np.unique(np.linspace(0, len(places.tip) - 1, SEEN).astype(np.int64)))
+
+
+def normals_over(heights: Heights, plane: Array) -> Array:
+    """Upward unit normals (3, n, 3) at x, y (n, 2), over a short, a usual and a long way; NaN where that leaves the surface."""
+    found = []
+    for way in _OVER:
+        steps = np.array([[way, 0.0], [-way, 0.0], [0.0, way], [0.0, -way]])
+        z = heights((plane + steps[:, None]).reshape(-1, 2)).reshape(4, -1)
+        normals = np.column_stack([z[1] - z[0], z[3] - z[2], np.full(len(plane), 2.0 * way)])
+        found.append(normals / np.linalg.norm(normals, axis=1)[:, None])
+    return np.stack(found)
+
+
+def axis_along(judged: Judged, places: Places, normals: Array) -> Check:
+    """The check that the axis is along normals (3, n, 3), as far as these are known; where they are not, it holds."""
+    known = ~np.isnan(normals[:, :, 2])
+    sure = known.sum(axis=0) >= 2
+    usual = np.where(known[1, :, None], normals[1], normals[0])
+    spread = np.max([np.nan_to_num(angles_between(usual, other)) for other in normals], axis=0)
+    off = np.where(sure, np.nan_to_num(angles_between(usual, places.up)), 0.0)
+    limits = judged.problem.process.cones.tilt + AXIS + _FACETS + spread
+    return beyond_limits(judged, places, NORMAL, np.degrees(off), np.degrees(limits), "deg")

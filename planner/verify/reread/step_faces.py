@@ -1,0 +1,163 @@
+"""Faces of a STEP or IGES file once more: triangles of Open CASCADE's own mesher, asked for by another process, and nearest
+places on them by coal. Lengths are metres in the part frame.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import coal
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array, Ints
+from planner.problem.part import StepSpec
+from planner.verify.reread.plane_curves import NotRead
+
+OFF = 2e-6  # m by which triangles may leave the faces
+_PROCESS = "planner.verify.reread.step_process"
+_LONGEST = 300  # s that a file may take
+_ROOT = Path(__file__).resolve().parents[3]  # from where that is found, whatever the present folder
+_MARK = 72  # column, from 0, of the S in an IGES file's first line
+_POINT = 1e-9  # m, radius of a ball that stands for a point
+
+
+@dataclass(frozen=True)
+class FaceFeet:
+    """Nearest places (n) on faces: points and outward unit normals (n, 3), and the faces (n)."""
+
+    points: Array
+    normals: Array
+    face: Ints
+
+
+@dataclass(frozen=True)
+class MeshedFaces:
+    """Faces as triangles.
+
+    corners, normals  (m, 3, 3) of the triangles [m]; unit normals as the file has them
+    face              (m) that each is of
+    sure              of each face whether a body says which way it looks
+    """
+
+    corners: Array
+    normals: Array
+    face: Ints
+    sure: Sequence[bool]
+    model: coal.BVHModelOBBRSS
+
+    def nearest(self, points: Array) -> FaceFeet:
+        """The nearest places to points (n, 3)."""
+        ball, still, request, at = coal.Sphere(_POINT), coal.Transform3s(), coal.DistanceRequest(), coal.Transform3s()
+        request.enable_signed_distance = False
+        triangle, foot = np.empty(len(points), dtype=np.int64), np.empty((len(points), 3))
+        for i, point in enumerate(points):
+            at.setTranslation(point)
+            result = coal.DistanceResult()
+            coal.distance(self.model, still, ball, at, request, result)
+            triangle[i], foot[i] = result.b1, result.getNearestPoint1()
+        a, b, c = (self.corners[triangle, k] for k in range(3))
+        shares = np.stack([_area(foot, b, c), _area(a, foot, c), _area(a, b, foot)], axis=1)
+        shares = shares / np.maximum(shares.sum(axis=1), 1e-300)[:, None]
+        normals = (shares[:, :, None] * self.normals[triangle]).sum(axis=1)
+        return FaceFeet(foot, normals / np.linalg.norm(normals, axis=1)[:, None], self.face[triangle])
+
+    def spread(self, apart: float) -> tuple[Array, Array]:
+        """Places (n, 3) all over the faces, up to `apart` [m] from each other, and the area (n) that each stands for."""
+        points, areas = [], []
+        across = np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0])
+        whole = 0.5 * np.linalg.norm(across, axis=1)
+        longest = np.linalg.norm(np.roll(self.corners, -1, axis=1) - self.corners, axis=2).max(axis=1)
+        pieces = np.maximum(np.ceil(longest / apart), 1.0).astype(int)
+        for count in np.unique(pieces):
+            own = np.flatnonzero(pieces == count)
+            weights = _middles(int(count))
+            points.append(np.einsum("wk,mkx->mwx", weights, self.corners[own]).reshape(-1, 3))
+            areas.append(np.repeat(whole[own] / len(weights), len(weights)))
+        return np.concatenate(points), np.concatenate(areas)
+
+
+def _area(a: Array, b: Array, c: Array) -> Array:
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+
+
+def _middles(count: int) -> Array:
+    """Barycentric coordinates (n, 3) of the middles of a triangle's pieces, its sides cut in so many."""
+    out = []
+    for i in range(count):
+        for j in range(count - i):
+            out.append((i + 1 / 3, j + 1 / 3))
+            if i + j < count - 1:
+                out.append((i + 2 / 3, j + 2 / 3))
+    uv = np.array(out) / count
+    return np.column_stack([uv, 1.0 - uv.sum(axis=1)])
+
+
+def meshed_faces(spec: StepSpec, faces: Sequence[int | str] | str) -> MeshedFaces | NotRead:
+    """Faces of a file by their names and numbers, as triangles. Raises OSError for a file that is not there."""
+    stamp = spec.file.stat()
+    return _meshed(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
+
+
+@lru_cache(maxsize=2)
+def _meshed(spec: StepSpec, faces: tuple[int | str, ...] | str, changed: int, size: int) -> MeshedFaces | NotRead:
+    """The same; `changed` and `size` tell one file from another."""
+    head = spec.file.read_bytes()[: _MARK + 8]
+    request = {
+        "file": str(spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
+        "faces": faces, "off_mm": OFF * 1e3, "parent": os.getpid(),
+    }  # fmt: skip
+    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    try:
+        done = subprocess.run(
+            [sys.executable, "-m", _PROCESS], input=json.dumps(request).encode(), capture_output=True, timeout=_LONGEST,
+            env={**os.environ, "PYTHONPATH": paths}, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return NotRead(f"it takes more than {_LONGEST} s")
+    if done.returncode != 0:
+        return NotRead("Open CASCADE ends while it reads or meshes the file")
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+        answer = dict(arrays)
+    if "reason" in answer or not int(answer["faces"]):
+        return NotRead(str(answer.get("reason", "it holds no such face")))
+    return _placed(spec, answer)
+
+
+def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
+    """The faces in the part frame."""
+    turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
+    flip = -1.0 if spec.normals == "inward" else 1.0
+    corners, normals, owner = [], [], []
+    for k in range(int(answer["faces"])):
+        of = answer[f"{k}.corners"]
+        points = 1e-3 * answer[f"{k}.points"] @ turn.T + np.asarray(spec.origin)
+        own = flip * answer[f"{k}.normals"] @ turn.T
+        flat = np.cross(points[of[:, 1]] - points[of[:, 0]], points[of[:, 2]] - points[of[:, 0]])
+        there = np.linalg.norm(flat, axis=1) > 0.0
+        of, flat = of[there], flip * flat[there]
+        at_corners = own[of]
+        lost = np.isnan(at_corners).any(axis=2)  # at a pole there is only the triangle's
+        at_corners[lost] = (flat / np.linalg.norm(flat, axis=1)[:, None])[np.nonzero(lost)[0]]
+        corners.append(points[of])
+        normals.append(at_corners)
+        owner.append(np.full(len(of), k, dtype=np.int64))
+    every = np.concatenate(corners)
+    vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in every.reshape(-1, 3):
+        vertices.append(vertex)
+    for i in range(0, 3 * len(every), 3):
+        facets.append(coal.Triangle(i, i + 1, i + 2))
+    model = coal.BVHModelOBBRSS()
+    model.beginModel(len(facets), len(vertices))
+    model.addSubModel(vertices, facets)
+    model.endModel()
+    return MeshedFaces(every, np.concatenate(normals), np.concatenate(owner), answer["sure"].tolist(), model)

@@ -1,0 +1,253 @@
+"""Filled meshes once more: their layers' heights from the facets, and each layer's outline from lines through the body.
+
+Vertical lines through all of the body tell at which heights it is entered and left. Between them a layer's outline is known
+to within their distance; its walls and its infill are held against it. Lengths are metres in the part frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from planner.base.arrays import Array, Flags
+from planner.base.errors import InputError
+from planner.plan import Check
+from planner.problem.layers import GuideSpec, VolumeLayersSpec
+from planner.verify.checks import EVERYWHERE, Judged
+from planner.verify.reread.areas import depth_of
+from planner.verify.reread.facets import Crossings, Facets, facets_of
+from planner.verify.reread.places import (
+    INSIDE,
+    OFF_LEVEL,
+    ON_PART,
+    Asked,
+    Places,
+    begun_layers,
+    by_number,
+    filled,
+    not_read,
+    worst_of,
+)
+from planner.verify.reread.slopes import Heights, axis_along, few_of, normals_over, off_facets
+
+_PITCH = 1.0 / 3.0  # bead widths between lines through the body
+_AROUND = 3.0  # bead widths beside the body that the lines reach
+_MOST = 160_000  # lines
+_KNOWN = 0.9  # of the lines: with fewer a file has too many holes
+_BEND = 0.2  # of the way from the least to the greatest height of a layer, over which heights bend towards the least
+_BENT = 0.16  # of that: how far the bend is from the greater of both
+_UNSURE = 0.02  # layers by which the height of the body may be told differently
+_NEAR = 0.75  # bead widths from the middle line of a wall
+_LINES = 1.5  # distances of lines of infill: the greatest hole between them
+_SPREAD = 1.6  # distances of lines, where their turns count as filling and they lie farther apart
+_DENSE = 0.05  # of what is asked, that beads may hold less than notes tell of
+_TELLS = 0.95  # of what is asked: less is told
+_STEEPEST = 0.2  # upward component of normals
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body's facets, and vertical lines through it on a grid.
+
+    low       x and y of the first line [m]; pitch: between lines
+    shape     lines along x and along y; plane (n, 2): x and y of each
+    lines     what they cross
+    """
+
+    facets: Facets
+    low: Array
+    pitch: float
+    shape: tuple[int, int]
+    plane: Array
+    lines: Crossings
+
+    @classmethod
+    def of(cls, facets: Facets, width: float) -> Body:
+        """Lines a share of a bead's width apart, or farther through a large body."""
+        corners = facets.corners.reshape(-1, 3)[:, :2]
+        low, high = corners.min(axis=0) - _AROUND * width, corners.max(axis=0) + _AROUND * width
+        pitch = max(_PITCH * width, float(np.sqrt(np.prod(high - low) / _MOST)))
+        axes = [np.arange(a, b + pitch, pitch) for a, b in zip(low, high, strict=True)]
+        plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        return cls(facets, low, pitch, (len(axes[0]), len(axes[1])), plane, facets.crossings(plane))
+
+    def depths(self, z: Array) -> tuple[Array, Flags]:
+        """How far (shape) [m] within the body's outline lines are where heights z (n) cut it, and of which that is known."""
+        inside, known = self.lines.inside(np.nan_to_num(z, nan=-1.0))
+        inside &= ~np.isnan(z)
+        steps = (self.pitch, self.pitch)
+        return depth_of(inside.reshape(self.shape), steps), known.reshape(self.shape)
+
+    def at(self, values: Array, plane: Array) -> Array:
+        """Values on the grid (shape), straight between lines, at x, y (n, 2)."""
+        return np.asarray(map_coordinates(values, ((plane - self.low) / self.pitch).T, order=1, mode="nearest"))
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Layers from a lower surface to an upper one, `count` where these are farthest apart; heights [m]."""
+
+    lower: Heights
+    upper: Heights
+    count: int
+    greatest: float
+    least: float
+
+    def thickness(self, plane: Array) -> tuple[Array, Array]:
+        """Of layers at x, y (n, 2), and how far that may be off for the bend towards the least [m]."""
+        share = (self.upper(plane) - self.lower(plane)) / self.count
+        reach = _BEND * (self.greatest - self.least)
+        bent = np.where(np.abs(share - self.least) < reach, _BENT * reach, 0.0)
+        return np.maximum(share, self.least) + 0.5 * bent, 0.5 * bent
+
+    def at(self, level: float) -> Heights:
+        """The heights of the surface `level` layers up."""
+        return lambda plane: self.lower(plane) + level * self.thickness(plane)[0]
+
+
+def volume(judged: Judged, places: Places) -> Iterator[Check]:
+    """All checks of a mesh that is filled with layers; none of another print."""
+    spec, width = judged.problem.layers, judged.problem.process.bead.width
+    if not isinstance(spec, VolumeLayersSpec):
+        return
+    try:
+        body = Body.of(facets_of(spec.source.file), width)
+        lower, upper = _guide(spec.lower, body, "lower"), _guide(spec.upper, body, "upper")
+    except (InputError, OSError) as error:
+        yield not_read(str(error))
+        return
+    stack = _stack(spec, body, lower, upper, places)
+    if stack is None:
+        yield not_read("no layer lies between the lower and the upper surface")
+        return
+    yield from _heights(judged, stack, places)
+    layers = {k: _Layer.of(body, stack, k, off_facets(judged)) for k in range(int(places.layer.max()) + 1)}
+    known = float(np.mean([layer.known.mean() for layer in layers.values()]))
+    if known < _KNOWN:
+        yield Check(INSIDE, 0.0, 0.0, "mm", True, f"not read again: {1.0 - known:.0%} of lines end inside the body")
+        return
+    yield from _outlines(judged, spec, body, stack, layers, places)
+
+
+def _guide(spec: GuideSpec | None, body: Body, which: str) -> Heights:
+    """The heights of a surface that layers begin at or come to."""
+    if spec is not None and spec.mesh is not None:
+        facets = facets_of(spec.mesh)
+        return lambda plane: facets.top(plane)[0]
+    if spec is not None and spec.z is not None:
+        z = spec.z
+        return lambda plane: np.full(len(plane), z)
+    if which == "upper":
+        return lambda plane: body.facets.top(plane)[0]
+    lowest = float(body.facets.corners[:, :, 2].min())
+    return lambda plane: np.full(len(plane), lowest)
+
+
+def _stack(spec: VolumeLayersSpec, body: Body, lower: Heights, upper: Heights, places: Places) -> Stack | None:
+    """The layers, as many as most tips say where a hair of the body's height decides that."""
+    there = ~np.isnan(body.lines.top()[0])
+    gap = (upper(body.plane) - lower(body.plane))[there]
+    most = float(np.nanmax(np.append(gap, 0.0)))
+    some = few_of(places)
+    best, least = None, np.inf
+    for hair in (-_UNSURE, _UNSURE):
+        count = int(np.ceil(most / spec.height + hair))
+        if count < 1:
+            continue
+        stack = Stack(lower, upper, count, spec.height, spec.thinnest)
+        off = np.abs(_off(stack, some)[0])
+        usual = float(np.nanmedian(np.append(off, 1.0) if np.isnan(off).all() else off))
+        if usual < least:
+            best, least = stack, usual
+    return best
+
+
+def _off(stack: Stack, places: Places) -> tuple[Array, Array]:
+    """How far (n) [m] tips are above their layers, along z, and how much of that is not known."""
+    plane, level = places.tip[:, :2], places.layer + 1.0
+    thick, unsure = stack.thickness(plane)
+    return places.tip[:, 2] - stack.lower(plane) - level * thick, level * unsure
+
+
+def _heights(judged: Judged, stack: Stack, places: Places) -> Iterator[Check]:
+    """Layers are as high as they are to be, and the nozzle is normal to them."""
+    off, unsure = _off(stack, places)
+    some = few_of(places)
+    normals = np.full((3, len(some.tip), 3), np.nan)
+    for k, own in by_number(some.layer):
+        normals[:, own] = normals_over(stack.at(k + 1.0), some.tip[own, :2])
+    normals[:, stack.thickness(some.tip[:, :2])[1] > 0.0] = np.nan  # how heights bend there, only the planner knows
+    upright = np.interp(places.sample, some.sample, np.nan_to_num(normals[1, :, 2], nan=1.0))
+    off = np.maximum(np.abs(off) - unsure, 0.0) * np.maximum(upright, _STEEPEST)
+    bound = off_facets(judged) + OFF_LEVEL
+    yield worst_of(judged, places, ON_PART, np.nan_to_num(off) * 1e3, bound * 1e3, "mm")
+    yield axis_along(judged, some, normals)
+
+
+@dataclass(frozen=True)
+class _Layer:
+    """A layer's outline halfway up, by how far (grid) [m] lines lie within it surely and at best; z (grid) of its surface."""
+
+    depth: Array
+    perhaps: Array
+    known: Flags
+    z: Array
+
+    @classmethod
+    def of(cls, body: Body, stack: Stack, layer: int, off: float) -> _Layer:
+        thick, unsure = stack.thickness(body.plane)
+        low, level = stack.lower(body.plane), layer + 0.5
+        by = level * unsure + off
+        found = [body.depths(low + level * thick + sense * by) for sense in (-1.0, 1.0)]
+        steps = (body.pitch, body.pitch)
+        here = [depth > 0.0 for depth, _ in found]
+        surely, perhaps = (depth_of(each, steps) for each in (here[0] & here[1], here[0] | here[1]))
+        z = (low + (layer + 1.0) * thick).reshape(body.shape)
+        return cls(surely, perhaps, found[0][1] & found[1][1], z)
+
+
+def _outlines(
+    judged: Judged, spec: VolumeLayersSpec, body: Body, stack: Stack, layers: dict[int, _Layer], places: Places
+) -> Iterator[Check]:
+    """Beads lie within their layers' outlines, walls are there, and the inside is as dense as is asked for."""
+    process, told, width = judged.problem.process, judged.toolpath.told, judged.problem.process.bead.width
+    within = np.empty(len(places.tip))
+    for k, own in by_number(places.layer):
+        within[own] = body.at(layers[k].perhaps, places.tip[own, :2])
+    limit = process.corner_tolerance + 2.0 * body.pitch + process.chord_tolerance
+    beyond = np.maximum(0.5 * width - within, 0.0)
+    yield worst_of(judged, places, INSIDE, beyond * 1e3, min(limit, 0.5 * width) * 1e3, "mm")
+
+    begun, asked = begun_layers(judged), {}
+    near = _NEAR * width + 0.5 * body.pitch
+    apart = width / spec.infill.density
+    hole = (_SPREAD if spec.infill.density < 1.0 else 1.0) * _LINES * 0.5 * apart + near
+    for k, layer in layers.items():
+        walled = (layer.depth >= 0.5 * width) & (layer.depth <= spec.perimeters * width) & layer.known
+        inner = (layer.depth >= (spec.perimeters + 0.5) * width) & layer.known
+        if k not in begun:
+            wanted = walled | inner
+            points = np.column_stack([body.plane, layer.z.ravel()])[wanted.ravel()]
+            reach = np.where(walled, near, hole)[wanted]
+            asked[k] = Asked(points, np.ones(len(points)), reach, float(max((layer.depth > 0.0).sum(), 1)))
+    yield filled(places, asked, min(told.left_out, spec.source.crumbs) + told.open)
+    if not begun:
+        yield _as_dense(judged, spec, body, layers)
+
+
+def _as_dense(judged: Judged, spec: VolumeLayersSpec, body: Body, layers: dict[int, _Layer]) -> Check:
+    """What beads cover, in the plane, of what walls and infill ask for."""
+    width, told = judged.problem.process.bead.width, judged.toolpath.told
+    wanted = 0.0
+    for layer in layers.values():
+        whole, inner = (layer.depth > 0.0).sum(), (layer.depth > spec.perimeters * width).sum()
+        wanted += float(whole - (1.0 - spec.infill.density) * inner) * body.pitch**2
+    t, tip = judged.trajectory, judged.motion.tip
+    on = t.deposit[1:] & t.deposit[:-1] & (t.bead[1:] == t.bead[:-1])
+    laid = width * float(np.linalg.norm(np.diff(tip[:, :2], axis=0), axis=1)[on].sum())
+    least = min(told.held, _TELLS) - _DENSE
+    share = laid / max(wanted, 1e-12)
+    return Check("layers as dense as asked", share, least, "of what is asked", share >= least, EVERYWHERE, least=True)
