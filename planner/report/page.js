@@ -79,14 +79,27 @@ function drawScene(scene, told) {
       }
       mark(-1);
     });
-    player.t = places.length ? places[0].t : 0;
+    player.t = places.length ? places[0].t : scene.end;
     colours.start();
   } else {
     refresh();
   }
   if (places.length && places[0].kind === "fail") go(0, true);
-  if (!stage.beads || !places.length || places[0].kind !== "fail") stage.fly(...viewOf(stage, scene, "cell"), true);
-  return { stage, motion, player, dips, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
+  const failed = places.length > 0 && places[0].kind === "fail";
+  if (!failed || !stage.beads) {
+    const [eye, target] = viewOf(stage, scene, stage.beads ? "print" : "cell");
+    stage.light(eye.clone().sub(target));
+    stage.fly(eye, target, true);
+  } else {
+    stage.light(stage.world.camera.position.clone().sub(stage.world.controls.target));
+  }
+  // It opens with the print being laid, unless there is something else to see, or somebody wants no movement.
+  const opens = () => {
+    if (!player || failed || calm() || window.parent !== window) return;
+    player.seek(0);
+    player.play(true);
+  };
+  return { stage, motion, player, dips, lines: scene.lines, go, opens, seek: (t) => { player.play(false); player.seek(t); } };
 }
 
 async function start() {
@@ -125,6 +138,7 @@ async function start() {
   }
   window.report = { page, scene, charts };
   performance.mark("all drawn");
+  if (scene) scene.opens();
   root.dataset.ready = "yes";
   talkToParent(scene);
 }
