@@ -79,6 +79,12 @@ def put(found: Opened, name: str, value: float | str) -> None:
     found.settle()
 
 
+def unfold(found: Opened) -> None:
+    """Open all that is folded."""
+    found.page.evaluate("() => document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    found.settle()
+
+
 def drawn(found: Opened) -> int:
     """How many corners of beads are drawn."""
     return found.page.evaluate(
@@ -91,7 +97,7 @@ def test_a_report_complains_of_nothing_and_asks_the_network_for_nothing(stars: O
         assert found.complaints == []
         assert [url for url in found.requests if not url.startswith(("file:", "data:", "blob:"))] == []
         assert len([url for url in found.requests if url.startswith("file:")]) == 1
-        assert found.page.locator(".js-plotly-plot").count() >= (12 if found is small else 5)
+        assert found.page.locator(".js-plotly-plot").count() >= (6 if found is small else 5)
 
 
 def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> None:
@@ -99,6 +105,7 @@ def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> N
     for what in (".verdict", ".deciding", "#view", "#play", ".places button >> nth=0"):
         box = page.locator(what).bounding_box()
         assert box is not None and 0 <= box["y"] < 768 - 40, f"{what} stands on the first screen"
+    page.locator("[data-view=cell]").click()
     picture = seen(small)
     assert (picture.min(axis=2) < 0.9).mean() > 0.05, "robots, not paper"
     page.locator("#robots").uncheck()
@@ -158,20 +165,22 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     card = page.locator("#card").inner_text()
     assert place["what"] in card and place["where"] in card and place["help"] in card
     assert button.get_attribute("aria-pressed") == "true"
+    unfold(small)
     show = page.locator("td button[data-place]").first
     show.click()
     small.settle()
     assert page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[plan.approaches[0].sample])
     painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
-    names = page.evaluate("() => report.scene.stage.bodies.map((b) => b.name)")
+    drawn_for = page.evaluate("() => report.scene.stage.bodies.map((b) => b.bodies)")
     pair = [plan.approaches[0].a, plan.approaches[0].b]
     view = page.locator("#view").bounding_box()
     assert view is not None and 0 <= view["y"] < 768 / 2, "the scene is brought into sight"
     marked, others = (
-        {colour for name, colour in zip(names, painted, strict=True) if (name in pair) is wanted}
+        {colour for names, colour in zip(drawn_for, painted, strict=True) if bool({*names} & {*pair}) is wanted}
         for wanted in (True, False)
     )
-    assert len(marked) == len(set(pair) & set(names)) > 0 and not marked & others
+    assert len(marked) == len(set(pair) & {name for names in drawn_for for name in names}) > 0
+    assert not {0xD55E00, 0x0072B2} & others
     page.locator("#card-close").click()
 
 
@@ -190,6 +199,7 @@ def test_riding_with_the_part_holds_it_still(browser: Browser, tmp_path: Path) -
 
 def test_layers_values_and_dips_filter(stars: Opened) -> None:
     page, whole = stars.page, drawn(stars)
+    put(stars, "colour", "speed")
     put(stars, "layers", "3")
     four = drawn(stars)
     assert four == pytest.approx(0.4 * whole, rel=0.02) and page.locator("#layer-words").inner_text() == "up to 4"
@@ -212,20 +222,22 @@ def test_layers_values_and_dips_filter(stars: Opened) -> None:
 
 def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
     page = stars.page
-    page.locator("[data-view=part]").click()
+    page.locator("[data-view=print]").click()
     before = seen(stars)
     put(stars, "colour", "sigma")
-    assert page.locator("#scale-min").inner_text() == "0.1300" and page.locator("#scale-max").inner_text() == "0.2900"
+    classes = page.locator("#scale li").all_inner_texts()
+    assert len(classes) == 6 and classes[0].startswith("0.130 – ") and classes[-1].endswith(" – 0.290")
+    assert page.locator("#scale-words").inner_text() == "red: the tightest 5 % of what is laid"
     assert np.abs(seen(stars) - before).max() > 0.2
     put(stars, "colour", "layer")
-    assert page.locator("#scale-max").inner_text() == "10"
+    assert page.locator("#scale li").last.inner_text().endswith("10")
     put(stars, "colour", "speed")
 
 
 def test_a_click_on_the_print_reads_it(stars: Opened) -> None:
     page = stars.page
     page.locator("#letters-shown").uncheck()
-    page.locator("[data-view=part]").click()
+    page.locator("[data-view=print]").click()
     stars.settle()
     at = page.evaluate(
         "() => { const s = report.scene.stage, n = report.page.scene.lines.normal, box = s.canvas.getBoundingClientRect();"

@@ -5,7 +5,7 @@ const FLOOR_SIDE = 6, FLOOR_STEP = 0.25, FLOORS_APART = 1e-3;  // m
 const NEAR = 0.01, FAR = 80;  // m
 const FLIGHT = 600;  // ms
 // Light of the sky and of the ground, of a lamp that throws shadows, and of one that goes with the camera.
-const SKY = 0xffffff, FROM_BELOW = 0xb9bfc6, SKYLIGHT = 1.7, LAMP = 1.25, HEADLIGHT = 0.5;
+const SKY = 0xffffff, FROM_BELOW = 0xb9bfc6, SKYLIGHT = 1.85, LAMP = 1.25, HEADLIGHT = 0.5;
 const LAMP_ASIDE = 0.65, LAMP_UP = 0.95;  // rad: to the left of the camera, and above the horizon
 const SHADOW_SIDE = 1024, SHADOW = 0.16, LAMP_AWAY = 4;  // pixels; how dark; m
 const calm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -143,7 +143,10 @@ function makeStage(div, scene, lib, motion) {
     own.transparent = yes; own.opacity = yes ? 0.3 : 1; own.depthWrite = !yes;
     own.needsUpdate = true;
   });
-  stage.showRobots = (yes) => bodies.forEach((b) => { if (b.kind !== "part") b.mesh.visible = yes; });
+  stage.showRobots = (yes) => {
+    bodies.forEach((b) => { if (b.kind !== "part") b.mesh.visible = yes; });
+    world.renderer.shadowMap.needsUpdate = true;
+  };
 
   let flight = 0;
   function look(eye, target) { viewer.setCamera([...eye, ...target, 0, 0, 1]); stage.draw(); }

@@ -4,6 +4,7 @@ const SLANTS = [0.7, 0.95, 1.2], AROUND_IT = 8, ABOUT = 0.07;  // rad off the no
 const SIDEWAYS = 5, NOZZLE = 10;  // what a view from the arm's side, and the nozzle, are worth in points of the print
 const LEAST_SHARE = 0.42, ROOM_AROUND = 1.12;  // of the picture's height that a print takes at least; around print and wrist
 const LOOKED_AT = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95];  // shares of the motion
+const LEAST_HIGH = 0.15;  // m: what is seen of the scene at least, from top to bottom
 const OFF_CENTRE = 0.16;  // of the picture, how far from its middle a print is, to make room for the arm
 const BEHIND = 3;  // of the arm's last joints, which should be seen with the print
 
@@ -29,7 +30,7 @@ function viewOf(stage, scene, which) {
     // As much of the arm as leaves the print large; what does not go in is cut off on the arm's side.
     const wanted = ROOM_AROUND * Math.max(length(all[1]), length(all[0]) / aspect);
     const largest = Math.max(length(own[1]) / LEAST_SHARE, ROOM_AROUND * length(own[0]) / aspect);
-    const high = whole ? wanted : Math.min(wanted, largest), wide = high * aspect;
+    const high = whole ? wanted : Math.max(Math.min(wanted, largest), LEAST_HIGH), wide = high * aspect;
     const middle = (at, room, frame) => {
       const off = Math.max(OFF_CENTRE * frame - Math.max(length(at) - 0.6 * frame, 0), 0), own = (at[0] + at[1]) / 2;
       return Math.min(Math.max((room[0] + room[1]) / 2, own - off), own + off);
