@@ -114,6 +114,76 @@ def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> N
     assert (without.min(axis=2) < 0.9).mean() < 0.5 * (picture.min(axis=2) < 0.9).mean()
 
 
+def test_the_print_is_large_and_the_arm_is_in_view_at_first(small: Opened, stars: Opened) -> None:
+    """How much of the picture's height the beads take, and where the nozzle is, from -1 to 1."""
+    share = (
+        "() => { const { stage } = report.scene, seen = []; for (let i = 0; i < stage.beads.n; i++)"
+        " seen.push(stage.inView(stage.beads.point(i)).project(stage.world.camera).y); return (Math.max(...seen) - Math.min(...seen)) / 2; }"
+    )
+    for found, least in (
+        (small, 0.12),
+        (stars, 0.25),
+    ):  # the small print is 24 mm high: no nearer than 150 mm are shown
+        found.page.locator("[data-view=print]").click()
+        found.settle()
+        assert least < found.page.evaluate(share) < 0.95
+    head = small.page.evaluate(
+        "() => { const { stage } = report.scene, { nozzle } = stage.now, at = new stage.THREE.Vector3(nozzle[3], nozzle[7], nozzle[11]);"
+        " return at.project(stage.world.camera).toArray(); }"
+    )
+    assert np.abs(head[:2]).max() < 1.0
+    small.page.locator("[data-view=cell]").click()
+    small.settle()
+    seen_all = small.page.evaluate(
+        "() => { const { stage } = report.scene, box = new stage.THREE.Box3(), out = [];"
+        " stage.bodies.filter((b) => b.kind === 'arm').forEach((b) => { const { min, max } = box.setFromObject(b.mesh);"
+        "  const at = min.clone().add(max).multiplyScalar(0.5).project(stage.world.camera); out.push(Math.abs(at.x), Math.abs(at.y)); });"
+        " return Math.max(...out); }"
+    )
+    assert seen_all < 1.0, "the middle of every link"
+
+
+def test_it_opens_playing_the_print_as_it_is_laid(browser: Browser, tmp_path: Path) -> None:
+    write_report(make_plan(4_000), tmp_path / "r.html")
+    context = browser.new_context(viewport={"width": 1366, "height": 768})
+    page = context.new_page()
+    page.goto((tmp_path / "r.html").as_uri())
+    page.wait_for_selector("html[data-ready=yes]", state="attached")
+    page.wait_for_function("() => report.scene.player.t > 0.2")
+    assert page.evaluate("() => report.scene.player.playing") and page.locator("#grow").is_checked()
+    assert page.evaluate("() => report.scene.stage.beads.ghost.visible"), "what is not laid yet is seen through"
+    context.close()
+
+
+def test_what_is_not_chosen_is_a_ghost(stars: Opened) -> None:
+    ghost = "() => report.scene.stage.beads.ghost.visible && report.scene.stage.beads.ghost.geometry.index.count"
+    assert stars.page.evaluate(ghost) is False
+    stars.page.locator("#only").check()
+    stars.settle()
+    points = stars.page.evaluate("() => report.scene.stage.beads.n")
+    assert 0.9 * 6 * points < stars.page.evaluate(ghost) <= 6 * points
+    stars.page.locator("#only").uncheck()
+    stars.settle()
+    assert stars.page.evaluate(ghost) is False
+
+
+def test_beads_are_as_wide_and_high_as_they_are(small: Opened) -> None:
+    """Across the first point of a bead: 0.6 mm by 0.5 mm, below the tip."""
+    corners = small.page.evaluate(
+        "() => Array.from(report.scene.stage.beads.mesh.geometry.attributes.position.array.slice(0, 12))"
+    )
+    corners = np.reshape(corners, (4, 3))
+    tip = small_plan().trajectory.tip[small_plan().trajectory.deposit][0]
+    assert np.linalg.norm(corners[0] - corners[3]) == pytest.approx(0.6e-3, rel=0.02)
+    assert np.linalg.norm(0.5 * (corners[1] + corners[2]) - tip) < 2e-5
+    assert np.linalg.norm(0.5 * (corners[0] + corners[3] - corners[1] - corners[2])) == pytest.approx(0.5e-3, rel=0.05)
+    numbers = small.page.evaluate(
+        "() => report.scene.stage.bodies.flatMap((b) => ['position', 'normal'].map((k) =>"
+        " b.mesh.geometry.attributes[k].array.every(Number.isFinite)))"
+    )
+    assert all(numbers) and len(numbers) > 20
+
+
 def test_the_scenes_tip_is_where_the_trajectory_has_it(small: Opened) -> None:
     t = small_plan().trajectory
     rows = np.unique(np.linspace(0, len(t) - 1, 200).astype(int))
@@ -272,6 +342,32 @@ def test_charts_and_scene_share_one_time(stars: Opened) -> None:
     )
     assert where == pytest.approx(1 / 3, abs=0.01)
     page.evaluate("() => scrollTo(0, 0)")
+
+
+def test_charts_run_over_the_length_laid_as_well(stars: Opened) -> None:
+    page, plan = stars.page, make_plan(8_000)
+    put(stars, "over", "length")
+    longest = page.evaluate("() => Math.max(...document.getElementById('chart-margins').data[0].x)")
+    assert longest == pytest.approx(plan.metrics["deposited_length_mm"] / 1e3, rel=0.02)
+    page.evaluate("() => document.getElementById('chart-speed').emit('plotly_click', { points: [{ x: 1.0 }] })")
+    stars.settle()
+    t = page.evaluate("() => report.scene.player.t")
+    traj = plan.trajectory
+    laid = np.cumsum(np.where(traj.deposit, traj.speed, 0.0)) * traj.dt
+    assert laid[round(t / traj.dt)] == pytest.approx(1.0, abs=0.02)
+    put(stars, "over", "time")
+    assert page.evaluate("() => Math.max(...document.getElementById('chart-margins').data[0].x)") == pytest.approx(
+        traj.t[-1], rel=0.01
+    )
+
+
+def test_all_that_is_folded_fits_on_four_screens(small: Opened) -> None:
+    small.page.evaluate("() => document.querySelectorAll('details').forEach((each, k) => { each.open = k === 0; })")
+    assert small.page.evaluate("() => document.documentElement.scrollHeight") <= 4 * 768
+    small.page.evaluate("() => scrollTo(0, 1200)")
+    view = small.page.locator("#view").bounding_box()
+    assert view is not None and -5 <= view["y"] < 40, "the scene stays beside what is read"
+    small.page.evaluate("() => scrollTo(0, 0)")
 
 
 def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path) -> None:

@@ -20,10 +20,11 @@ from planner.cell.surfaces import Surface, rgb, rounding
 
 CELLS, MOST_CELLS = 26, 60  # along the longest side of a link; the more, the thinner its thinnest solid is
 THIN = 0.8  # of half that thickness: a cell at most
-MOST_CELL = 40e-3  # m
+MOST_CELL = 20e-3  # m
 FILLET = 0.35  # of the thinnest solid's half thickness: how far solids melt into one another
 MOST_FILLET = 24e-3  # m
 END = 0.78  # width of a tapered link's free end, of its other end's
+NEAR_END = 1.5  # of a box's half width: an axis so near to its end makes that end round
 LONG = 1.35  # a box that is so many times longer than it is thick is a lever or a limb
 ALONG = 0.98  # cosine: so nearly along an axis
 COVER, LEAST_COVER = 0.62, 18e-3  # radius of a joint's cover, of what it is on; m: smaller ones are left out
@@ -96,7 +97,7 @@ def covers(bodies: Sequence[Body], axes: Array, colour: str) -> list[Body]:
             rise = COVER_RISE[min(which, 1)]
             for end, out in zip(ends, (-1.0, 1.0), strict=True):
                 place = np.eye(4)
-                place[:3, :3] = np.roll(np.eye(3), k + 1, axis=1) if k != 2 else np.eye(3)
+                place[:3, :3] = np.roll(np.eye(3), 2 - k, axis=1)
                 if out < 0.0:
                     place[:3, :3] = place[:3, :3] @ np.diag([1.0, -1.0, -1.0])
                 place[:3, 3] = point
@@ -190,7 +191,7 @@ def _hubs(points: Array, ways: Array, half: Array, long: int, across: int) -> li
     third = 3 - long - across
     found = []
     for point, way in zip(points, ways, strict=True):
-        inside = abs(point[long]) < half[long] and abs(point[third]) < 0.5 * half[third]
+        inside = 0.0 < half[long] - abs(point[long]) < NEAR_END * half[third] and abs(point[third]) < 0.5 * half[third]
         if abs(way[across]) > ALONG and inside:
             found.append(float(point[long]))
     if not found:

@@ -32,6 +32,7 @@ function viewOf(stage, scene, which) {
     const largest = Math.max(length(own[1]) / LEAST_SHARE, ROOM_AROUND * length(own[0]) / aspect);
     const high = whole ? wanted : Math.max(Math.min(wanted, largest), LEAST_HIGH), wide = high * aspect;
     const middle = (at, room, frame) => {
+      if (whole) return (room[0] + room[1]) / 2;
       const off = Math.max(OFF_CENTRE * frame - Math.max(length(at) - 0.6 * frame, 0), 0), own = (at[0] + at[1]) / 2;
       return Math.min(Math.max((room[0] + room[1]) / 2, own - off), own + off);
     };
