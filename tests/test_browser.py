@@ -452,6 +452,13 @@ def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -
     )  # fmt: skip
     with opened(browser, tmp_path / "f.html") as found:
         assert found.complaints == [] and found.page.evaluate("() => Boolean(report.scene)")
+    write_failure_report(
+        tmp_path / "one.html", problem=make_problem(), strategy="ladder", message="no", bead=0, point_mm=None, facts={},
+        toolpath=SimpleNamespace(beads=make_beads(1), shape=SHAPE),
+    )  # fmt: skip
+    with opened(browser, tmp_path / "one.html") as found:
+        eye = found.page.evaluate("() => report.scene.stage.world.camera.position.toArray()")
+        assert np.isfinite(eye).all(), "all other beads are none"
 
 
 def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(small: Opened) -> None:

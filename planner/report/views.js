@@ -72,6 +72,7 @@ function momentsOf(stage, scene) {
 }
 
 function cornersOf(THREE, { min, max }) {
+  if (min.x > max.x) return [];  // of nothing
   return [0, 1, 2, 3, 4, 5, 6, 7].map((k) => new THREE.Vector3(k & 1 ? max.x : min.x, k & 2 ? max.y : min.y, k & 4 ? max.z : min.z));
 }
 
