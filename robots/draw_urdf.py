@@ -41,6 +41,7 @@ class Abb:
     ranges: tuple[tuple[float, float], ...]
     speeds: tuple[float, ...]
     assumed: tuple[str, ...] = ()  # of these: what the product specification was not at hand for
+    colour: str = "#f26a21"  # the maker's orange
     recorded: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # accelerations [rad/s^2] and jerks [rad/s^3]
 
 
@@ -71,12 +72,14 @@ ABB = {
         (0, -42, 0, 399.1, 448, 451, 82),
         ((-170, 170), (-100, 130), (-200, 70), *WRIST_1200),
         SPEEDS_1200,
+        colour="#e6e6e1",
     ),
     "irb1200_07": Abb(
         "ABB IRB 1200-7/0.7",
         (0, -42, 0, 399.1, 350, 351, 82),
         ((-170, 170), (-100, 135), (-200, 70), *WRIST_1200),
         SPEEDS_1200,
+        colour="#e6e6e1",
     ),
     "irb2600": Abb(
         "ABB IRB 2600-20/1.65",
@@ -227,6 +230,7 @@ language: rapid
 urdf: {key}.urdf
 tip: tool0
 spherical_wrist: {{{lengths}}}
+colours: {{others: "{arm.colour}", caps: "#50575f", flange: "#8b929a"}}
 {_abb_dynamics(arm)}"""
 
 
@@ -285,6 +289,7 @@ language: urscript
 urdf: {key}.urdf
 tip: tool0
 inverse_kinematics: offset_wrist
+colours: {{others: "#cfd3d7", caps: "#6ca6cd", base: "#9aa1a8", wrist 3: "#9aa1a8"}}
 # ASSUMED: nobody publishes acceleration and jerk; yours belong into the problem file (cell.limits).
 assumed: [acceleration_rad_s2, jerk_rad_s3, thickness of links]
 acceleration_rad_s2: {acceleration}

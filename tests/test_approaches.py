@@ -13,7 +13,7 @@ from planner.plan import Approach, Plan
 from planner.report.places import NEAREST, approaches_section, places_data, places_of
 from planner.report.scene import TOLERANCE, cell_data, postures
 from planner.verify.bodies import CellBodies
-from planner.verify.collision import cell_view
+from planner.verify.drawing import cell_view
 from planner.verify.executed import executed_motion
 
 Array = np.ndarray
@@ -46,13 +46,15 @@ def test_screws_bring_every_body_where_the_checks_have_it(solved) -> None:
     """Poses by the product of exponentials are Pinocchio's."""
     plan = solved()
     data, bodies, cell = cell_data(plan.cell, plan.view), CellBodies.of(plan.cell), plan.cell
-    assert data is not None and len(data["bodies"]) == len(bodies.things)
+    assert data is not None
+    drawn = {name: body for body in data["bodies"] for name in body["bodies"]}
+    assert sorted(drawn) == sorted({bodies.name(thing) for thing in bodies.things})
     zero = np.zeros(len(cell.joint_names))
     for q in plan.trajectory.q[:: len(plan.trajectory) // 3]:
         now, rest = bodies.poses(np.array([q, zero]))
-        for thing, body in zip(bodies.things, data["bodies"], strict=True):
+        for thing in bodies.things:
             expected = now[thing.carrier] @ np.linalg.inv(rest[thing.carrier])
-            assert carried(data, q, body["joints"]) == pytest.approx(expected, abs=1e-9)
+            assert carried(data, q, drawn[bodies.name(thing)]["joints"]) == pytest.approx(expected, abs=1e-9)
         nozzle = carried(data, q, [0, data["arm"]]) @ data["nozzle"].reshape(4, 4)
         part = carried(data, q, [data["arm"], len(q)]) @ data["part"].reshape(4, 4)
         expected = cell.T_part_nozzle(q[None])[0]
@@ -95,7 +97,7 @@ def test_pairs_stand_in_the_table_and_the_nearest_in_the_list(plan: Plan) -> Non
     assert text.count("<button") == len(plan.approaches)
     assert f"data-place={places.index(near[0])} " in text and f"{plan.approaches[0].distance * 1e3:.1f}" in text
     data = places_data(plan, places)
-    drawn = {*plan.view.names, "part", "print"} if plan.view else set()
+    drawn = {*sum(plan.view.bodies, ()), "part", "print"} if plan.view else set()
     assert all(name in drawn for each in data for name in each["pair"])
 
 

@@ -79,6 +79,12 @@ def put(found: Opened, name: str, value: float | str) -> None:
     found.settle()
 
 
+def unfold(found: Opened) -> None:
+    """Open all that is folded."""
+    found.page.evaluate("() => document.querySelectorAll('details').forEach((each) => { each.open = true; })")
+    found.settle()
+
+
 def drawn(found: Opened) -> int:
     """How many corners of beads are drawn."""
     return found.page.evaluate(
@@ -91,7 +97,7 @@ def test_a_report_complains_of_nothing_and_asks_the_network_for_nothing(stars: O
         assert found.complaints == []
         assert [url for url in found.requests if not url.startswith(("file:", "data:", "blob:"))] == []
         assert len([url for url in found.requests if url.startswith("file:")]) == 1
-        assert found.page.locator(".js-plotly-plot").count() >= (12 if found is small else 5)
+        assert found.page.locator(".js-plotly-plot").count() >= (6 if found is small else 5)
 
 
 def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> None:
@@ -99,12 +105,83 @@ def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> N
     for what in (".verdict", ".deciding", "#view", "#play", ".places button >> nth=0"):
         box = page.locator(what).bounding_box()
         assert box is not None and 0 <= box["y"] < 768 - 40, f"{what} stands on the first screen"
+    page.locator("[data-view=cell]").click()
     picture = seen(small)
     assert (picture.min(axis=2) < 0.9).mean() > 0.05, "robots, not paper"
     page.locator("#robots").uncheck()
     without = seen(small)
     page.locator("#robots").check()
     assert (without.min(axis=2) < 0.9).mean() < 0.5 * (picture.min(axis=2) < 0.9).mean()
+
+
+def test_the_print_is_large_and_the_arm_is_in_view_at_first(small: Opened, stars: Opened) -> None:
+    """How much of the picture's height the beads take, and where the nozzle is, from -1 to 1."""
+    share = (
+        "() => { const { stage } = report.scene, seen = []; for (let i = 0; i < stage.beads.n; i++)"
+        " seen.push(stage.inView(stage.beads.point(i)).project(stage.world.camera).y); return (Math.max(...seen) - Math.min(...seen)) / 2; }"
+    )
+    for found, least in (
+        (small, 0.12),
+        (stars, 0.25),
+    ):  # the small print is 24 mm high: no nearer than 150 mm are shown
+        found.page.locator("[data-view=print]").click()
+        found.settle()
+        assert least < found.page.evaluate(share) < 0.95
+    head = small.page.evaluate(
+        "() => { const { stage } = report.scene, { nozzle } = stage.now, at = new stage.THREE.Vector3(nozzle[3], nozzle[7], nozzle[11]);"
+        " return at.project(stage.world.camera).toArray(); }"
+    )
+    assert np.abs(head[:2]).max() < 1.0
+    small.page.locator("[data-view=cell]").click()
+    small.settle()
+    seen_all = small.page.evaluate(
+        "() => { const { stage } = report.scene, box = new stage.THREE.Box3(), out = [];"
+        " stage.bodies.filter((b) => b.kind === 'arm').forEach((b) => { const { min, max } = box.setFromObject(b.mesh);"
+        "  const at = min.clone().add(max).multiplyScalar(0.5).project(stage.world.camera); out.push(Math.abs(at.x), Math.abs(at.y)); });"
+        " return Math.max(...out); }"
+    )
+    assert seen_all < 1.0, "the middle of every link"
+
+
+def test_it_opens_playing_the_print_as_it_is_laid(browser: Browser, tmp_path: Path) -> None:
+    write_report(make_plan(4_000), tmp_path / "r.html")
+    context = browser.new_context(viewport={"width": 1366, "height": 768})
+    page = context.new_page()
+    page.goto((tmp_path / "r.html").as_uri())
+    page.wait_for_selector("html[data-ready=yes]", state="attached")
+    page.wait_for_function("() => report.scene.player.t > 0.2")
+    assert page.evaluate("() => report.scene.player.playing") and page.locator("#grow").is_checked()
+    assert page.evaluate("() => report.scene.stage.beads.ghost.visible"), "what is not laid yet is seen through"
+    context.close()
+
+
+def test_what_is_not_chosen_is_a_ghost(stars: Opened) -> None:
+    ghost = "() => report.scene.stage.beads.ghost.visible && report.scene.stage.beads.ghost.geometry.index.count"
+    assert stars.page.evaluate(ghost) is False
+    stars.page.locator("#only").check()
+    stars.settle()
+    points = stars.page.evaluate("() => report.scene.stage.beads.n")
+    assert 0.9 * 6 * points < stars.page.evaluate(ghost) <= 6 * points
+    stars.page.locator("#only").uncheck()
+    stars.settle()
+    assert stars.page.evaluate(ghost) is False
+
+
+def test_beads_are_as_wide_and_high_as_they_are(small: Opened) -> None:
+    """Across the first point of a bead: 0.6 mm by 0.5 mm, below the tip."""
+    corners = small.page.evaluate(
+        "() => Array.from(report.scene.stage.beads.mesh.geometry.attributes.position.array.slice(0, 12))"
+    )
+    corners = np.reshape(corners, (4, 3))
+    tip = small_plan().trajectory.tip[small_plan().trajectory.deposit][0]
+    assert np.linalg.norm(corners[0] - corners[3]) == pytest.approx(0.6e-3, rel=0.02)
+    assert np.linalg.norm(0.5 * (corners[1] + corners[2]) - tip) < 2e-5
+    assert np.linalg.norm(0.5 * (corners[0] + corners[3] - corners[1] - corners[2])) == pytest.approx(0.5e-3, rel=0.05)
+    numbers = small.page.evaluate(
+        "() => report.scene.stage.bodies.flatMap((b) => ['position', 'normal'].map((k) =>"
+        " b.mesh.geometry.attributes[k].array.every(Number.isFinite)))"
+    )
+    assert all(numbers) and len(numbers) > 20
 
 
 def test_the_scenes_tip_is_where_the_trajectory_has_it(small: Opened) -> None:
@@ -158,20 +235,22 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     card = page.locator("#card").inner_text()
     assert place["what"] in card and place["where"] in card and place["help"] in card
     assert button.get_attribute("aria-pressed") == "true"
+    unfold(small)
     show = page.locator("td button[data-place]").first
     show.click()
     small.settle()
     assert page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[plan.approaches[0].sample])
     painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
-    names = page.evaluate("() => report.scene.stage.bodies.map((b) => b.name)")
+    drawn_for = page.evaluate("() => report.scene.stage.bodies.map((b) => b.bodies)")
     pair = [plan.approaches[0].a, plan.approaches[0].b]
     view = page.locator("#view").bounding_box()
     assert view is not None and 0 <= view["y"] < 768 / 2, "the scene is brought into sight"
     marked, others = (
-        {colour for name, colour in zip(names, painted, strict=True) if (name in pair) is wanted}
+        {colour for names, colour in zip(drawn_for, painted, strict=True) if bool({*names} & {*pair}) is wanted}
         for wanted in (True, False)
     )
-    assert len(marked) == len(set(pair) & set(names)) > 0 and not marked & others
+    assert len(marked) == len(set(pair) & {name for names in drawn_for for name in names}) > 0
+    assert not {0xD55E00, 0x0072B2} & others
     page.locator("#card-close").click()
 
 
@@ -190,6 +269,7 @@ def test_riding_with_the_part_holds_it_still(browser: Browser, tmp_path: Path) -
 
 def test_layers_values_and_dips_filter(stars: Opened) -> None:
     page, whole = stars.page, drawn(stars)
+    put(stars, "colour", "speed")
     put(stars, "layers", "3")
     four = drawn(stars)
     assert four == pytest.approx(0.4 * whole, rel=0.02) and page.locator("#layer-words").inner_text() == "up to 4"
@@ -212,20 +292,22 @@ def test_layers_values_and_dips_filter(stars: Opened) -> None:
 
 def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
     page = stars.page
-    page.locator("[data-view=part]").click()
+    page.locator("[data-view=print]").click()
     before = seen(stars)
     put(stars, "colour", "sigma")
-    assert page.locator("#scale-min").inner_text() == "0.1300" and page.locator("#scale-max").inner_text() == "0.2900"
+    classes = page.locator("#scale li").all_inner_texts()
+    assert len(classes) == 6 and classes[0].startswith("0.130 – ") and classes[-1].endswith(" – 0.290")
+    assert page.locator("#scale-words").inner_text() == "red: the tightest 5 % of what is laid"
     assert np.abs(seen(stars) - before).max() > 0.2
     put(stars, "colour", "layer")
-    assert page.locator("#scale-max").inner_text() == "10"
+    assert page.locator("#scale li").last.inner_text().endswith("10")
     put(stars, "colour", "speed")
 
 
 def test_a_click_on_the_print_reads_it(stars: Opened) -> None:
     page = stars.page
     page.locator("#letters-shown").uncheck()
-    page.locator("[data-view=part]").click()
+    page.locator("[data-view=print]").click()
     stars.settle()
     at = page.evaluate(
         "() => { const s = report.scene.stage, n = report.page.scene.lines.normal, box = s.canvas.getBoundingClientRect();"
@@ -260,6 +342,32 @@ def test_charts_and_scene_share_one_time(stars: Opened) -> None:
     )
     assert where == pytest.approx(1 / 3, abs=0.01)
     page.evaluate("() => scrollTo(0, 0)")
+
+
+def test_charts_run_over_the_length_laid_as_well(stars: Opened) -> None:
+    page, plan = stars.page, make_plan(8_000)
+    put(stars, "over", "length")
+    longest = page.evaluate("() => Math.max(...document.getElementById('chart-margins').data[0].x)")
+    assert longest == pytest.approx(plan.metrics["deposited_length_mm"] / 1e3, rel=0.02)
+    page.evaluate("() => document.getElementById('chart-speed').emit('plotly_click', { points: [{ x: 1.0 }] })")
+    stars.settle()
+    t = page.evaluate("() => report.scene.player.t")
+    traj = plan.trajectory
+    laid = np.cumsum(np.where(traj.deposit, traj.speed, 0.0)) * traj.dt
+    assert laid[round(t / traj.dt)] == pytest.approx(1.0, abs=0.02)
+    put(stars, "over", "time")
+    assert page.evaluate("() => Math.max(...document.getElementById('chart-margins').data[0].x)") == pytest.approx(
+        traj.t[-1], rel=0.01
+    )
+
+
+def test_all_that_is_folded_fits_on_four_screens(small: Opened) -> None:
+    small.page.evaluate("() => document.querySelectorAll('details').forEach((each, k) => { each.open = k === 0; })")
+    assert small.page.evaluate("() => document.documentElement.scrollHeight") <= 4 * 768
+    small.page.evaluate("() => scrollTo(0, 1200)")
+    view = small.page.locator("#view").bounding_box()
+    assert view is not None and -5 <= view["y"] < 40, "the scene stays beside what is read"
+    small.page.evaluate("() => scrollTo(0, 0)")
 
 
 def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path) -> None:
@@ -344,6 +452,13 @@ def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -
     )  # fmt: skip
     with opened(browser, tmp_path / "f.html") as found:
         assert found.complaints == [] and found.page.evaluate("() => Boolean(report.scene)")
+    write_failure_report(
+        tmp_path / "one.html", problem=make_problem(), strategy="ladder", message="no", bead=0, point_mm=None, facts={},
+        toolpath=SimpleNamespace(beads=make_beads(1), shape=SHAPE),
+    )  # fmt: skip
+    with opened(browser, tmp_path / "one.html") as found:
+        eye = found.page.evaluate("() => report.scene.stage.world.camera.position.toArray()")
+        assert np.isfinite(eye).all(), "all other beads are none"
 
 
 def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(small: Opened) -> None:

@@ -21,15 +21,16 @@ from scipy.spatial import QhullError
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.base.errors import Complaint
+from planner.base.errors import Complaint, InputError
 from planner.cell.pieces import convex_pieces, lean_hull
-from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Mesh, Solid
+from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Look, Mesh, Solid
 from planner.cell.urdf import FARTHEST, Urdf, hanging_on, link_frame, origin_of
 from planner.problem import Problem
 from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.mesh_files import read_corners
 
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+OTHERS, CAPS = "others", "caps"  # stand for all links whose colour is not named, and for the covers on joints
 THINNEST = 1e-6  # m: what is thinner is a mistake
 _FLAT = 1e-6  # m: a mesh that is thinner has no hull
 # Of a nozzle whose outline is not given.
@@ -46,15 +47,22 @@ class BodyRules:
     without    links that are left out, with what hangs on them
     pieces     by link, how many convex pieces at most each of its meshes becomes; one where a link is not named
     may_touch  pairs of links that may be in touch
+    colours    of links and of their shapes, by name; `others` of all that are not named, `caps` of covers on joints
     """
 
     without: tuple[str, ...] = ()
     pieces: Mapping[str, int] = field(default_factory=dict)
     may_touch: tuple[tuple[str, str], ...] = ()
+    colours: Mapping[str, str] = field(default_factory=dict)
 
     def beside(self, link: str) -> frozenset[str]:
         """The links that one link may touch."""
         return frozenset(b if a == link else a for a, b in self.may_touch if link in (a, b))
+
+    def colour(self, link: str, shape: str | None = None) -> str:
+        """The colour of a link's shape; empty if the file names none."""
+        known = (self.colours.get(name) for name in (shape, link, OTHERS) if name)
+        return next(filter(None, known), "")
 
 
 def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Body, ...], ...]:
@@ -73,8 +81,55 @@ def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[B
             own = element.get("name")
             called = f"{name} ({own})" if own else name
             T, solids = _link_solids(urdf, element, f"link {name}", frame.placement, rules.pieces.get(name, 1))
-            bodies[frame.parentJoint] += [Body(called, solid, T, name, rules.beside(name)) for solid in solids]
+            look = rules.colour(name, own), rules.colours.get(CAPS, "")
+            bodies[frame.parentJoint] += [Body(called, solid, T, name, rules.beside(name), *look) for solid in solids]
     return tuple(map(tuple, bodies))
+
+
+def read_looks(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Look, ...], ...]:
+    """Meshes that links show, by the joint of the model that carries them, as `read_bodies`; the files are not read yet."""
+    looks: list[list[Look]] = [[] for _ in range(model.njoints)]
+    absent = hanging_on(urdf, rules.without)
+    for name, link in urdf.links().items():
+        if name in absent:
+            continue
+        frame = model.frames[link_frame(model, name)]
+        for element in link.findall("visual"):
+            shape = element.find("geometry/mesh")
+            if shape is None:
+                continue
+            field = f"link {name}"
+            try:
+                path = _mesh_path(urdf, shape, field)
+                scale = urdf.numbers(shape, "scale", field, 3, "1 1 1")
+                xyz, rpy = origin_of(urdf, element, field)
+            except InputError:
+                continue
+            T = frame.placement.homogeneous @ _pose(xyz, rpy)
+            colour = rules.colour(name, element.get("name")) or _material(urdf, element)
+            looks[frame.parentJoint].append(Look(name, path, (scale[0], scale[1], scale[2]), T, colour))
+    return tuple(map(tuple, looks))
+
+
+def _material(urdf: Urdf, element: ET.Element) -> str:
+    """Colour of a <visual>, its own or that of the robot's material of this name; empty if there is none."""
+    material = element.find("material")
+    if material is None:
+        return ""
+    known = (each for each in urdf.root.findall("material") if each.get("name") == material.get("name"))
+    for each in (material, *known):
+        colour = each.find("color")
+        if colour is not None:
+            try:
+                values = np.clip(urdf.numbers(colour, "rgba", "material", 4)[:3], 0.0, 1.0)
+            except InputError:
+                return ""
+            return "#" + "".join(f"{round(255 * value):02x}" for value in values)
+    return ""
+
+
+def _pose(xyz: Sequence[float], rpy: Sequence[float]) -> Array:
+    return np.asarray(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous)
 
 
 def _link_solids(
@@ -87,7 +142,7 @@ def _link_solids(
         raise urdf.error(element, field, "a collision needs one shape", f"one of {', '.join(SHAPES)}")
     solids, shift = _solids(urdf, shapes[0], field, pieces)
     xyz, rpy = origin_of(urdf, element, field)
-    T = place.homogeneous @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+    T = place.homogeneous @ _pose(xyz, rpy)
     T[:3, 3] -= shift * T[:3, 2]
     return T, solids
 
@@ -126,7 +181,15 @@ def _link_hulls(urdf: Urdf, shape: ET.Element, field: str, pieces: int) -> list[
 
 def _link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
     """The triangles of a <mesh>, in the shape's frame [m]. Raises InputError for one that cannot be read."""
-    read = _loaded(urdf, shape, field)
+    return _mesh(_loaded(urdf, shape, field))
+
+
+def read_mesh(path: Path) -> Mesh:
+    """The triangles of a mesh's file, in its own unit. Raises ValueError for one that cannot be read."""
+    return _mesh(coal.MeshLoader().load(str(path), np.ones(3)))
+
+
+def _mesh(read: coal.BVHModelBase) -> Mesh:
     corners = (read.tri_indices(i) for i in range(read.num_tris))
     triangles = np.array([(each[0], each[1], each[2]) for each in corners], dtype=np.int64).reshape(-1, 3)
     return Mesh(np.asarray(read.vertices(), dtype=np.float64), triangles)
@@ -143,7 +206,7 @@ def drawn_meshes(urdf: Urdf, link: str, tag: str, place: Array) -> list[tuple[co
         shape = element.find("geometry/mesh")
         if shape is not None:
             xyz, rpy = origin_of(urdf, element, field)
-            T = place @ pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)).homogeneous
+            T = place @ _pose(xyz, rpy)
             out.append((_loaded(urdf, shape, field), T))
     return out
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -16,12 +18,14 @@ from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
-from planner.cell.solids import Body
+from planner.cell.solids import Body, Look
 from planner.cell.urdf import link_frame
 from planner.problem import Problem
 from planner.problem.cell import CarrierSpec
 
 _ROUNDING = 1e-9  # m, rad: a place at the end of its range is inside, though millimetres became metres
+
+Piece = TypeVar("Piece", Body, Look)
 
 
 @dataclass(frozen=True)
@@ -109,11 +113,15 @@ def in_words(low: float, high: float, slides: bool) -> str:
 
 def _standing(robot: Robot, held: dict[str, float], arm: Robot, T_carrier_base: Array) -> Robot:
     """The arm on a carrier that does not move: its bodies are those of the arm's foot."""
-    own = _bodies(robot, held, ())[0]
-    back = np.linalg.inv(T_carrier_base)
-    foot = tuple(replace(body, T_frame_solid=back @ body.T_frame_solid) for body in own)
+    back: Array = np.asarray(np.linalg.inv(T_carrier_base), dtype=np.float64)
+    foot = tuple(_moved(body, back) for body in _carried(robot, robot.bodies, held, ())[0])
+    feet = tuple(_moved(look, back) for look in _carried(robot, robot.looks, held, ())[0])
     return replace(
-        arm, name=_name(robot, arm), bodies=(foot + arm.bodies[0], *arm.bodies[1:]), assumed=_both(robot, arm)
+        arm,
+        name=_name(robot, arm),
+        bodies=(foot + arm.bodies[0], *arm.bodies[1:]),
+        looks=(feet + arm.looks[0], *arm.looks[1:]),
+        assumed=_both(robot, arm),
     )
 
 
@@ -136,7 +144,6 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
         one.lowerVelocityLimit = -one.velocityLimit  # what comes from a URDF is not negative, and may not be joined so
     whole = pin.appendModel(model, upper, tip, pin.SE3.Identity())
     moving = [robot.joint_names.index(name) for name in free]
-    *before, carriage = _bodies(robot, held, free)
     chain = chain_of(robot, np.eye(4), np.eye(4), free, held)
     return Robot(
         key=arm.key,
@@ -148,7 +155,8 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
         inverse=_on_rail(arm, chain),
         assumed=_both(robot, arm),
         language=arm.language,
-        bodies=(*before, carriage + tuple(_moved(body, chain.T_last_tip) for body in arm.bodies[0]), *arm.bodies[1:]),
+        bodies=_stacked(_carried(robot, robot.bodies, held, free), arm.bodies, chain.T_last_tip),
+        looks=_stacked(_carried(robot, robot.looks, held, free), arm.looks, chain.T_last_tip),
     )
 
 
@@ -159,22 +167,34 @@ def _on_rail(arm: Robot, chain: Chain) -> OnRail:
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))
 
 
-def _bodies(robot: Robot, held: dict[str, float], free: tuple[str, ...]) -> list[tuple[Body, ...]]:
-    """Bodies before the first free joint in the base's frame, and those behind each in that joint's frame."""
+def _carried(
+    robot: Robot, pieces: Sequence[Sequence[Piece]], held: dict[str, float], free: tuple[str, ...]
+) -> list[tuple[Piece, ...]]:
+    """Bodies or looks before the first free joint in the base's frame, and those behind each in that joint's frame."""
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, np.array([held.get(name, 0.0) for name in robot.joint_names]))
-    parts: list[list[Body]] = [[]]
+    parts: list[list[Piece]] = [[]]
     T_part_base = np.eye(4)
-    for i, own in enumerate(robot.bodies):
+    for i, own in enumerate(pieces):
         if i and robot.joint_names[i - 1] in free:
             parts.append([])
             T_part_base = data.oMi[i].inverse().homogeneous
-        parts[-1].extend(_moved(body, T_part_base @ data.oMi[i].homogeneous) for body in own)
+        parts[-1].extend(_moved(piece, T_part_base @ data.oMi[i].homogeneous) for piece in own)
     return [tuple(part) for part in parts]
 
 
-def _moved(body: Body, T: Array) -> Body:
-    return replace(body, T_frame_solid=T @ body.T_frame_solid)
+def _stacked(
+    below: list[tuple[Piece, ...]], above: tuple[tuple[Piece, ...], ...], T_last_tip: Array
+) -> tuple[tuple[Piece, ...], ...]:
+    """What a carrier has and what the arm on it has, whose foot stands on the carrier's last joint."""
+    whole: list[tuple[Piece, ...]] = list(below)
+    whole[-1] += tuple(_moved(piece, T_last_tip) for piece in above[0])
+    whole.extend(above[1:])
+    return tuple(whole)
+
+
+def _moved(piece: Piece, T: Array) -> Piece:
+    return replace(piece, T_frame_solid=T @ piece.T_frame_solid)
 
 
 def _name(robot: Robot, arm: Robot) -> str:

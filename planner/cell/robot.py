@@ -13,7 +13,7 @@ import pinocchio as pin
 from planner.base.arrays import Array
 from planner.base.errors import nearest_name
 from planner.base.shipped import ROBOTS
-from planner.cell.bodies import BodyRules, read_bodies
+from planner.cell.bodies import CAPS, OTHERS, BodyRules, read_bodies, read_looks
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
@@ -23,7 +23,7 @@ from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
-from planner.cell.solids import Body
+from planner.cell.solids import Body, Look
 from planner.cell.urdf import Urdf, link_frame, model_of, read_urdf, sliding_joints, turning_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
@@ -42,6 +42,7 @@ class Robot:
     language what its controller is programmed in: one of LANGUAGE_NAMES
     bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
              the URDF has no collision shapes
+    looks    meshes that its links show, in the same way; empty where the URDF shows none
     """
 
     key: str
@@ -54,6 +55,7 @@ class Robot:
     assumed: tuple[str, ...]
     language: str
     bodies: tuple[tuple[Body, ...], ...]
+    looks: tuple[tuple[Look, ...], ...]
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -118,6 +120,7 @@ def read_robot(path: Path) -> Robot:
     urdf = read_urdf(file.urdf())
     model = _model(file, urdf)
     n = model.njoints - 1
+    rules = _body_rules(file, urdf)
     return Robot(
         key=path.stem,
         name=file.text("name"),
@@ -128,13 +131,20 @@ def read_robot(path: Path) -> Robot:
         inverse=_inverse(file, model),
         assumed=file.texts("assumed"),
         language=_language(file),
-        bodies=read_bodies(urdf, model, _body_rules(file, urdf)),
+        bodies=read_bodies(urdf, model, rules),
+        looks=read_looks(urdf, model, rules),
     )
 
 
 def _body_rules(file: RobotFile, urdf: Urdf) -> BodyRules:
     links = urdf.links()
-    return BodyRules(file.of_these("without", "link", links), file.pieces(links), file.link_pairs(links))
+    shapes = {shape.get("name", "") for link in links.values() for shape in link}
+    return BodyRules(
+        without=file.of_these("without", "link", links),
+        pieces=file.pieces(links),
+        may_touch=file.link_pairs(links),
+        colours=file.colours([*links, *sorted(shapes - {""}), OTHERS, CAPS]),
+    )
 
 
 def _language(file: RobotFile) -> str:
@@ -284,3 +294,21 @@ def joint_axis(model: pin.Model, i: int) -> Array:
     R = data.oMi[i].rotation.T
     # at rest a joint that slides moves all places alike; of one that turns the world's origin is of no concern
     return np.concatenate([R @ J[3:], np.zeros(3) if J[3:].any() else R @ J[:3]])
+
+
+def joint_axes(model: pin.Model, i: int) -> Array:
+    """Axes (k, 6) at and behind a joint (0: the base), in its frame: a point of each and its direction.
+
+    First that of the joint itself, then those of the joints that hang on it.
+    """
+    found = [] if i == 0 else [np.concatenate([np.zeros(3), _direction(model, i)])]
+    for j in range(1, model.njoints):
+        if model.parents[j] == i:
+            place = model.jointPlacements[j]
+            found.append(np.concatenate([place.translation, place.rotation @ _direction(model, j)]))
+    return np.array(found).reshape(-1, 6)
+
+
+def _direction(model: pin.Model, i: int) -> Array:
+    axis = joint_axis(model, i)
+    return axis[:3] if axis[:3].any() else axis[3:]

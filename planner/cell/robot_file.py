@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -18,6 +19,7 @@ from planner.problem.yaml_file import Keys, ValueSources, read_yaml_file
 
 LENGTHS = tuple(f"{name}_mm" for name in ("a1", "a2", "b", "c1", "c2", "c3", "c4"))  # of a spherical wrist's arm
 MOST_PIECES = 12  # of a link
+COLOUR = "#[0-9a-fA-F]{6}"
 KINDS = ("spherical_wrist", "offset_wrist", "skew_wrist", "seven_axes")
 
 
@@ -105,6 +107,13 @@ KEYS = {
         "none",
         {"type": "array", "items": {**_NAMES, "minItems": 2, "maxItems": 2}},
     ),
+    "colours": RobotKey(
+        "colours of links, or of their shapes, by name, in pictures; `others` of all that are not named, `caps` of covers on "
+        "joints",
+        '{others: "#f47a20", link_6: "#6b7178"}',
+        "those of the URDF’s materials and meshes, or grey",
+        {"type": "object", "additionalProperties": {"type": "string", "pattern": f"^{COLOUR}$"}},
+    ),
     "assumed": RobotKey(
         "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
     ),
@@ -186,6 +195,17 @@ class RobotFile:
             self.known("pieces", "link", name, links)
             if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_PIECES:
                 raise self.error("pieces", f"{name} must have a whole number of pieces", f"1 to {MOST_PIECES}")
+        return given
+
+    def colours(self, names: Collection[str]) -> dict[str, str]:
+        """Colours by name, one of these: links, their shapes, `others` and `caps`; none where it is left out."""
+        given = self.data.get("colours", {})
+        if not isinstance(given, dict):
+            raise self.error("colours", "must be colours by link or shape", 'for example {others: "#f47a20"}')
+        for name, colour in given.items():
+            self.known("colours", "link or shape", name, names)
+            if not isinstance(colour, str) or not re.fullmatch(COLOUR, colour):
+                raise self.error("colours", f'{name} must have a colour such as "#f47a20"', "in quotes, six hex digits")
         return given
 
     def link_pairs(self, links: Collection[str]) -> tuple[tuple[str, str], ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -97,6 +98,7 @@ class Body:
 
     link    of a robot: the URDF's link that it belongs to
     beside  names of links of the same robot with which it may be in touch
+    colour, trim  in pictures, such as #f47a20: its own, and of covers on joints; empty where its robot's file names none
     """
 
     name: str
@@ -104,6 +106,22 @@ class Body:
     T_frame_solid: Array
     link: str = ""
     beside: frozenset[str] = frozenset()
+    colour: str = ""
+    trim: str = ""
+
+
+@dataclass(frozen=True)
+class Look:
+    """A mesh that a link shows: its file, its scale along x, y and z, and its pose in the frame that carries it.
+
+    colour  of all of it; empty where the file's own colours count
+    """
+
+    link: str
+    file: Path
+    scale: tuple[float, float, float]
+    T_frame_solid: Array
+    colour: str = ""
 
 
 def in_touch(a: Body, b: Body) -> bool:

@@ -82,16 +82,21 @@ class Approach:
 
 @dataclass(frozen=True)
 class CellView(ReadOnlyArrays):
-    """All bodies of the cell, and what moves them, for a picture.
+    """What the cell looks like, and what moves it, for a picture: one surface for each link, and for each other body.
 
-    names, kinds (b)       of the bodies; kinds are "arm", "head", "holder", "carried" and "fixture"
-    vertices, triangles    of each body: (n, 3) [m] in the world with all joints at 0, (m, 3)
-    joints (b, 2)          of each body: joints first to last - 1 of the posture carry it, in this order
+    names, kinds (b)       of what is drawn; kinds are "arm", "head", "holder", "carried" and "fixture"
+    bodies (b)             names of the bodies, as approaches have them, that each is drawn for
+    vertices, normals      of each: (n, 3) [m] in the world with all joints at 0, and of unit length
+    colours, triangles     of each: (n, 3) RGB in 8 bits, and (m, 3)
+    joints (b, 2)          of each: joints first to last - 1 of the posture carry it, in this order
     """
 
     names: tuple[str, ...]
     kinds: tuple[str, ...]
+    bodies: tuple[tuple[str, ...], ...]
     vertices: tuple[Array, ...]
+    normals: tuple[Array, ...]
+    colours: tuple[NDArray[np.uint8], ...]
     triangles: tuple[NDArray[np.int64], ...]
     joints: NDArray[np.int64]
 

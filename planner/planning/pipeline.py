@@ -62,6 +62,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.workload import Workload
 from planner.verify.collision import check_start
+from planner.verify.drawing import cell_view
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
@@ -180,7 +181,7 @@ def solve(
         settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
         dips=dips,
         approaches=report.approaches,
-        view=report.view,
+        view=cell_view(cell),
         headroom=judged,
         paths=tuple(rest),
         roll_maps=maps,
@@ -599,7 +600,7 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
             metrics=plan.metrics | report.metrics,
             series=report.series,
             approaches=report.approaches,
-            view=report.view,
+            view=cell_view(plan.cell),
             dips=(),
         )
     )

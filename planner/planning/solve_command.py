@@ -29,7 +29,7 @@ from planner.report import page as libraries
 from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
 from planner.toolpath.build import build_toolpath
-from planner.verify.collision import cell_view
+from planner.verify.drawing import cell_view
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

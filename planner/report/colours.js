@@ -1,4 +1,16 @@
 // What beads are coloured by, which of them are shown, and the legend that says so.
+// A colour map: 256 colours from the stops of the page.
+function colourMap(stops) {
+  const rgb = (hex) => [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
+  const out = new Uint8Array(3 * 256);
+  for (let i = 0; i < 256; i++) {
+    const x = i / 255, k = Math.max(stops.findIndex((s) => s[0] >= x), 1);
+    const [a, b] = [stops[k - 1], stops[k]], share = (x - a[0]) / (b[0] - a[0]), from = rgb(a[1]), to = rgb(b[1]);
+    for (let c = 0; c < 3; c++) out[3 * i + c] = Math.round(from[c] + share * (to[c] - from[c]));
+  }
+  return out;
+}
+
 function makeColours(stage, scene, changed) {
   const by = (id) => document.getElementById(id), lines = scene.lines, beads = stage.beads;
   const map = colourMap(scene.colours), channels = lines.channels.map((c) => Object.assign({}, c, { values: values(c.values) }));
@@ -7,22 +19,25 @@ function makeColours(stage, scene, changed) {
   const layers = [...new Set(lines.layer)].sort((a, b) => a - b);
   const colour = by("colour"), upTo = by("layers"), only = by("only"), from = by("from"), to = by("to");
   const unit = (c) => (c.unit === "°" ? "°" : c.unit && " " + c.unit);
-  let channel = channels[0];
+  let channel = channels.find((c) => c.first) || channels[0];
   const colours = { channels, words: (i) => channels.map((c) => `${c.label} ${Number.isNaN(c.values[i]) ? "–" : c.values[i].toFixed(c.digits)}${unit(c)}`) };
 
   function paint() {
     channel = channels[colour.selectedIndex];
-    const { min, max, bad } = channel, scale = 255 / (max - min), at = channel.values;
-    beads.paint((i) => {
-      if (Number.isNaN(at[i])) return NOTHING;
-      const x = Math.round(Math.min(Math.max((at[i] - min) * scale, 0), 255)), k = 3 * (bad === "high" ? 255 - x : x);
-      return [map[k], map[k + 1], map[k + 2]];
-    });
-    const stops = scene.colours.map(([x, hex]) => [bad === "high" ? 1 - x : x, hex]).sort((a, b) => a[0] - b[0]);
-    by("scale").style.background = `linear-gradient(to right, ${stops.map(([x, hex]) => `${hex} ${100 * x}%`).join(", ")})`;
+    const { edges, bad, digits } = channel, at = channel.values, count = edges.length - 1, inner = edges.slice(1, -1);
+    const shade = (k) => { const x = count > 1 ? (bad === "high" ? count - 1 - k : k) / (count - 1) : 1, i = 3 * Math.round(255 * x); return [map[i], map[i + 1], map[i + 2]]; };
+    const shades = Array.from({ length: count }, (_, k) => shade(k));
+    beads.paint((i) => (Number.isNaN(at[i]) ? NOTHING : shades[notAbove(inner, at[i])]));
+    by("scale").replaceChildren(...shades.map((rgb, k) => {
+      const item = document.createElement("li"), chip = document.createElement("i");
+      chip.style.background = `rgb(${rgb.join()})`;
+      const [low, high] = [edges[k].toFixed(digits), edges[k + 1].toFixed(digits)];
+      item.append(chip, bad === "none" && count === layers.length ? String(Math.round(edges[k + 1])) : low === high ? low : `${low} – ${high}`);
+      item.title = `${(100 * channel.shares[k]).toFixed(channel.shares[k] < 0.1 ? 1 : 0)} % of what is laid`;
+      return item;
+    }));
     by("scale-name").textContent = channel.label + (channel.unit ? ", " + channel.unit : "");
-    by("scale-min").textContent = min.toFixed(channel.digits);
-    by("scale-max").textContent = max.toFixed(channel.digits);
+    by("scale-words").textContent = channel.words;
     from.value = 0; to.value = 1000;
     filter();
   }
@@ -41,7 +56,7 @@ function makeColours(stage, scene, changed) {
     changed();
   }
   colours.filter = filter;
-  channels.forEach((c) => colour.add(new Option(c.label + (c.unit ? ", " + c.unit : ""), c.key)));
+  channels.forEach((c) => colour.add(new Option(c.label + (c.unit ? ", " + c.unit : ""), c.key, c.first, c.first)));
   upTo.max = layers.length - 1;
   upTo.value = layers.length - 1;
   colour.addEventListener("change", paint);

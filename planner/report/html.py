@@ -16,13 +16,13 @@ from planner.report import page
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
 from planner.report.joints import shown_units
-from planner.report.places import approaches_section, dips_section, places_of, where_words
+from planner.report.places import approaches_section, dips_section, places_of, without_stops
 from planner.report.robustness import robustness_section
 from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.report.scene import plan_scene
 from planner.report.templates import render
 from planner.report.thinning import CURVE_BUDGET
-from planner.report.wording import MISSING, SHORT, distance, duration, number, resumed_words, summary_rows
+from planner.report.wording import MISSING, SHORT, counted, distance, duration, number, resumed_words, summary_rows
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -145,8 +145,8 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
         others=others,
         summary=summary_table(plan.strategy, plan.metrics, plan.baseline),
         forecast=FORECAST,
-        worst=[place for place in places if place.kind in ("fail", "worst")],
-        where=where_words,
+        failed=sum(not check.ok for check in plan.checks),
+        dips_told=_dips_told(plan),
         dips_section=dips_section(plan),
         materials=materials_section(plan),
         events=events_section(plan),
@@ -169,6 +169,12 @@ def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping
     """HTML table: the chosen strategy's metrics beside the baselines'; the best of a row is bold."""
     others = {name: values for name, values in baseline.items() if name != strategy}
     return render("summary", strategy=strategy, others=list(others), rows=summary_rows([metrics, *others.values()]))
+
+
+def _dips_told(plan: Plan) -> str:
+    """How many dips there are, and what they cost."""
+    dips = without_stops(plan.dips)
+    return f"{counted(len(dips), 'dip')}, {number(sum(dip.lost for dip in dips), 2)} s lost" if dips else "none"
 
 
 def _header(plan: Plan) -> Markup:

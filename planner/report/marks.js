@@ -1,5 +1,6 @@
-// Marks in the scene: letters of places as buttons over the canvas, dips as white discs with a black rim on the part.
-const RIM = 20, DISC = 0.0085, LIFT = 0.0022;  // corners of a disc; its radius and height, of the size of the print
+// Marks in the scene: letters of places as buttons over the canvas, dips as white discs with a black rim on the part, hardly
+// wider than a bead: the larger, the more time they cost.
+const RIM = 14, DISC = [0.0022, 0.0052], LIFT = 0.0012;  // corners of a disc; its least and greatest radius, and its height, of the size of the print
 const ROOM = 24;  // px between letters
 
 function makeDips(stage, dips) {
@@ -9,11 +10,11 @@ function makeDips(stage, dips) {
     const p = new THREE.Vector3().fromArray(dips.point, 3 * k), n = new THREE.Vector3().fromArray(dips.normal, 3 * k);
     const a = new THREE.Vector3(Math.abs(n.x) < 0.9 ? 1 : 0, Math.abs(n.x) < 0.9 ? 0 : 1, 0).cross(n).normalize();
     const b = n.clone().cross(a), base = corners.length / 3;
-    for (const [radius, lift, shade] of [[1, 1, 0], [0.62, 1.25, 255]]) {
+    for (const [radius, lift, shade] of [[1, 1, 0], [0.6, 1.25, 255]]) {
       const c = p.clone().addScaledVector(n, LIFT * lift * size), from = corners.length / 3;
       corners.push(c.x, c.y, c.z);
       for (let i = 0; i < RIM; i++) {
-        const angle = 2 * Math.PI * i / RIM, r = DISC * radius * size;
+        const angle = 2 * Math.PI * i / RIM, r = (DISC[0] + dips.cost[k] * (DISC[1] - DISC[0])) * radius * size;
         const v = c.clone().addScaledVector(a, r * Math.cos(angle)).addScaledVector(b, r * Math.sin(angle));
         corners.push(v.x, v.y, v.z);
         faces.push(from, from + 1 + i, from + 1 + (i + 1) % RIM);

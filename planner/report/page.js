@@ -36,7 +36,7 @@ function drawScene(scene, told) {
   letters = makeLetters(stage, places, (k) => go(k));
   document.querySelectorAll("[data-place]").forEach((b) => b.addEventListener("click", () => {
     go(Number(b.dataset.place));
-    if (b.closest("td")) by("view").scrollIntoView({ behavior: calm() ? "auto" : "smooth", block: "center" });
+    if (b.closest("td") && matchMedia("(max-width: 900px)").matches) by("view").scrollIntoView({ behavior: calm() ? "auto" : "smooth", block: "center" });
   }));
   by("card-close").addEventListener("click", () => { by("card-box").hidden = true; mark(-1); stage.paintPair([]); stage.draw(); });
   document.querySelectorAll("[data-view]").forEach((b) => b.addEventListener("click", () => stage.fly(...viewOf(stage, scene, b.dataset.view))));
@@ -79,14 +79,27 @@ function drawScene(scene, told) {
       }
       mark(-1);
     });
-    player.t = places.length ? places[0].t : 0;
+    player.t = places.length ? places[0].t : scene.end;
     colours.start();
   } else {
     refresh();
   }
   if (places.length && places[0].kind === "fail") go(0, true);
-  if (!stage.beads || !places.length || places[0].kind !== "fail") stage.fly(...viewOf(stage, scene, "cell"), true);
-  return { stage, motion, player, dips, lines: scene.lines, go, seek: (t) => { player.play(false); player.seek(t); } };
+  const failed = places.length > 0 && places[0].kind === "fail";
+  if (!failed || !stage.beads) {
+    const [eye, target] = viewOf(stage, scene, stage.beads ? "print" : "cell");
+    stage.light(eye.clone().sub(target));
+    stage.fly(eye, target, true);
+  } else {
+    stage.light(stage.world.camera.position.clone().sub(stage.world.controls.target));
+  }
+  // It opens with the print being laid, unless there is something else to see, or somebody wants no movement.
+  const opens = () => {
+    if (!player || failed || calm() || window.parent !== window) return;
+    player.seek(0);
+    player.play(true);
+  };
+  return { stage, motion, player, dips, lines: scene.lines, go, opens, seek: (t) => { player.play(false); player.seek(t); } };
 }
 
 async function start() {
@@ -96,8 +109,8 @@ async function start() {
     return;
   }
   const page = await figures("data");
-  let scene = null, charts = null;
-  const told = (t) => charts && charts.at(t);
+  let scene = null, charts = null, map = null;
+  const told = (t) => { if (charts) charts.at(t); if (map) map.at(t); };
   if (page.scene && !document.createElement("canvas").getContext("webgl2")) {
     sceneFails("this browser, or this computer, has no WebGL 2 to draw it.");
   } else if (page.scene) {
@@ -119,12 +132,14 @@ async function start() {
   await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));  // the first picture before the charts
   if (page.charts.length) {
     await library("plotly-source");
-    charts = drawCharts(page.charts, (t) => scene && scene.player && scene.seek(t));
-    if (scene && scene.player) charts.at(scene.player.t);
-    if (page.roll_map) await drawRollMap(page.roll_map, (t) => scene && scene.player && scene.seek(t));
+    const clicked = (t) => scene && scene.player && scene.seek(t);
+    charts = drawCharts(page.charts, makeLengths(page.scene), clicked);
+    if (page.roll_map) map = drawRollMap(page.roll_map, clicked);
+    if (scene && scene.player) told(scene.player.t);
   }
   window.report = { page, scene, charts };
   performance.mark("all drawn");
+  if (scene) scene.opens();
   root.dataset.ready = "yes";
   talkToParent(scene);
 }

@@ -52,7 +52,8 @@ def samples_of(trajectory: Trajectory, dips: Sequence[Dip]) -> NDArray[np.intp]:
 
 
 def dip_marks(plan: Plan) -> dict[str, Any] | None:
-    """Marks of the dips that cost most: `point` and `normal` (part frame, m), `sample`, `layer`, `words`; None without any."""
+    """Marks of the dips that cost most: `point` and `normal` (part frame, m), `sample`, `layer`, `words`, and `cost`, the root
+    of the time lost as a share of the most; None without any."""
     if not plan.dips:
         return None
     shown = sorted(worst_first(plan.dips)[:MOST_MARKS], key=lambda dip: dip.t)
@@ -63,6 +64,9 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
         "normal": (-traj.axis[at]).astype(np.float32).ravel(),
         "sample": at.astype(np.int32),
         "layer": np.array([dip.layer for dip in shown], dtype=np.int32),
+        "cost": np.sqrt(np.array([dip.lost for dip in shown]) / max(max(dip.lost for dip in shown), 1e-9)).astype(
+            np.float32
+        ),
         "words": [_lines(dip, plan.problem.process.speed) for dip in shown],
     }
 

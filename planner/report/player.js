@@ -1,5 +1,6 @@
 // Time: the player below the scene, what it shows, and who wants to know.
 const LETTER_ROOM = 0.018;  // of the slider, for a letter
+const WATCHED = 45;  // s that a print takes at most when it is played, if there is such a pace
 
 function makePlayer(stage, scene, places, told) {
   const by = (id) => document.getElementById(id), slider = by("time"), play = by("play"), speed = by("pace");
@@ -67,6 +68,8 @@ function makePlayer(stage, scene, places, told) {
     before = now;
     if (player.t >= end) player.play(false); else requestAnimationFrame(step);
   }
+  const usual = [...speed.options].find((option) => end / Number(option.value) <= WATCHED) || speed.options[speed.options.length - 1];
+  speed.value = usual.value;
   slider.max = end;
   slider.step = scene.dt || 1;
   slider.addEventListener("input", () => { grow.checked = true; player.seek(Number(slider.value)); });

@@ -29,7 +29,7 @@ from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
 STYLES = ("-", "--", "-.", ":")
 INK, SOFT, FAINT, ALARM = "#1b2733", "#5b6b7b", "#d9e0e7", "#b5402f"
-MAP = LinearSegmentedColormap.from_list("calm", COLOURS_OF_SCENES)  # as in the report: light is where it gets tight
+MAP = LinearSegmentedColormap.from_list("calm", COLOURS_OF_SCENES)  # as in the report: red is where it gets tight
 
 
 def axes_of(ax: Axes | None, **figure: Any) -> Axes:

@@ -46,9 +46,21 @@ function drawRollMap(page, clicked) {
     const map = page.maps[which.selectedIndex], x = e.points[0].x;
     clicked(map.t[Math.max(0, notAbove(map.along, x + 1e-3) - 1)]);
   }
-  const done = draw();
-  div.on("plotly_click", told);
+  let cursor = null, now = null;
+  // The place of a time: on the last column that is laid by then, if the map has it.
+  function at(t) {
+    now = t;
+    if (!cursor) return;
+    const map = page.maps[which.selectedIndex], k = notAbove(map.t, t);
+    cursor.place(k > 0 && t <= map.t[map.t.length - 1] + 1e-9 ? map.along[k - 1] : null);
+  }
+  whenOpen(div, () => {
+    draw();
+    cursor = makeCursor(div);
+    div.on("plotly_click", told);
+    div.on("plotly_afterplot", () => { if (now !== null) at(now); });
+  });
   which.addEventListener("change", draw);
   measure.addEventListener("change", draw);
-  return done;
+  return { at };
 }

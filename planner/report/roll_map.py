@@ -26,7 +26,7 @@ MEASURES = (
     ("sigma", "distance from singularity, σ", "", 1.0, 3),
     ("limit", "nearest end stop", "°", 180.0 / np.pi, 1),
 )
-HEIGHT = 380  # px
+HEIGHT = 300  # px
 LATTICE = (28, 10)  # letters along the path and round the circle, at most
 ROOM = 3  # places or rolls from its edge, that a letter of an area keeps
 

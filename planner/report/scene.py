@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
-from planner.report.extruder import even_flow, surplus
+from planner.report.channels import channels
 from planner.report.page import coarse
 from planner.report.places import ReportPlace, dip_marks, places_data
 from planner.report.thinning import SCENE_BUDGET, keep_minima, stretches, turning
@@ -33,7 +33,7 @@ def part_data(shape: Shape | None) -> dict[str, Any] | None:
     return {
         "points": points.astype(np.float32).ravel(),
         "normals": shape.normals.astype(np.float32).ravel(),
-        "corners": shape.triangles.astype(np.uint16 if len(points) <= np.iinfo(np.uint16).max else np.uint32).ravel(),
+        "corners": _corners(shape.triangles, len(points)),
     }
 
 
@@ -41,13 +41,6 @@ def part_data(shape: Shape | None) -> dict[str, Any] | None:
 # Lines of beads: points and normals in the part frame, thinned, with what they can be coloured by.
 
 EVEN = 127  # steps of a component of a unit vector
-# What series of the verifier say, and in which unit; where these are small it gets tight.
-TIGHT = (
-    ("sigma", "Distance from singularity, σ", "", 4),
-    ("wrist_deg", "Wrist: joint 5 from straight", "°", 1),
-    ("limit_margin_deg", "Distance from the nearest end stop", "°", 1),
-    ("clearance_mm", "Least distance of two bodies beyond the tip", "mm", 1),
-)
 
 
 def plan_lines(plan: Plan) -> dict[str, Any]:
@@ -57,11 +50,12 @@ def plan_lines(plan: Plan) -> dict[str, Any]:
     first = np.flatnonzero(starts)
     return {
         **_geometry(traj.tip[kept], -traj.axis[kept], first),
+        **_sections(plan.toolpath.beads, traj.bead[kept], traj.s[kept]),
         "sample": kept.astype(np.int32),
         "along": coarse(traj.s[kept] * 1e3),
         "bead": traj.bead[kept[first]].astype(np.int32),
         "layer": traj.layer[kept[first]].astype(np.int32),
-        "channels": _channels(plan, kept),
+        "channels": channels(plan, kept),
     }
 
 
@@ -71,18 +65,22 @@ def bead_lines(beads: Sequence[Bead], budget: int) -> dict[str, Any]:
     normals = np.concatenate([bead.normals for bead in beads] or [np.zeros((0, 3))])
     last = np.cumsum([len(bead.points) for bead in beads], dtype=np.intp) - 1
     first = last + 1 - np.array([len(bead.points) for bead in beads], dtype=np.intp)
-    if not len(points):
-        return _geometry(points, normals, first)
-    sharp = turning(points, first, last)
-    kept = keep_minima([-sharp, np.zeros(len(points))], budget, np.union1d(first, last))
-    return _geometry(points[kept], normals[kept], np.flatnonzero(np.isin(kept, first)))
+    kept = np.arange(len(points))
+    if len(points):
+        sharp = turning(points, first, last)
+        kept = keep_minima([-sharp, np.zeros(len(points))], budget, np.union1d(first, last))
+    which = np.repeat(np.arange(len(beads)), last + 1 - first)[kept]
+    along = np.concatenate([bead.s for bead in beads] or [np.zeros(0)])[kept]
+    starts = np.flatnonzero(np.isin(kept, first))
+    return _geometry(points[kept], normals[kept], starts) | _sections(beads, which, along)
 
 
 def cut_lines(lines: Sequence[Array]) -> dict[str, Any]:
     """Lines (n, 3) of what is not printed, in the part frame: `point`, `normal` and `first`."""
     points = np.concatenate(list(lines))
     first = np.concatenate([[0], np.cumsum([len(line) for line in lines])[:-1]]).astype(np.intp)
-    return _geometry(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), first)
+    section = {"wide": coarse(np.full(len(points), CUT_WIDTH)), "high": coarse(np.full(len(points), CUT_WIDTH))}
+    return _geometry(points, np.tile([0.0, 0.0, 1.0], (len(points), 1)), first) | section
 
 
 def _geometry(points: Array, normals: Array, first: NDArray[np.intp]) -> dict[str, Any]:
@@ -110,57 +108,15 @@ def _kept_samples(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     return index[kept], starts[kept]
 
 
-def _channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
-    """What beads can be coloured by, with the ends of the scale; `bad` says at which of them it gets tight."""
-    if not len(kept):
-        return []
-    traj = plan.trajectory
-    commanded = plan.problem.process.speed * 1e3
-    speed = traj.speed[kept] * 1e3
-    low, high = min(float(speed.min()), 0.9 * commanded), max(float(speed.max()), commanded)
-    out: list[dict[str, Any]] = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, 1)]
-    for name, label, unit, digits in TIGHT:
-        values = plan.series[name][kept] if name in plan.series else np.empty(0)
-        if np.isfinite(values).any():
-            out.append(_channel(name, label, unit, values, "low", digits=digits))
-    if "tilt_deg" in plan.series:
-        lean = plan.series["tilt_deg"][kept]
-        out.append(_channel("tilt_deg", "Nozzle off the surface normal", "°", lean, "high", 0.0, digits=2))
-    over = surplus(plan)
-    if over is not None:
-        share, most = over[kept], max(float(over[kept].max()), 1.0)
-        out.append(_channel("surplus", "Too much material, share of what flows", "%", share, "high", 0.0, most, 1))
-    flow = even_flow(traj)[kept] * 1e9
-    if np.ptp(flow) > 0:
-        out.append(_channel("flow", "Flow of material", "mm³/s", flow, "low", digits=2))
-    if np.ptp(traj.layer[kept]):
-        out.append(_channel("layer", "Layer", "", traj.layer[kept] + 1.0, "high", digits=0))
-    return out
-
-
-def _channel(
-    key: str,
-    label: str,
-    unit: str,
-    values: NDArray[np.floating[Any]],
-    bad: str,
-    low: float | None = None,
-    high: float | None = None,
-    digits: int = 1,
-) -> dict[str, Any]:
-    finite = values[np.isfinite(values)]
-    least = float(finite.min()) if low is None else low
-    most = max(float(finite.max()) if high is None else high, least + 1e-6)
-    return {
-        "key": key,
-        "label": label,
-        "unit": unit,
-        "values": coarse(np.asarray(values, dtype=np.float64)),
-        "min": least,
-        "max": most,
-        "bad": bad,
-        "digits": digits,
-    }
+def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Array) -> dict[str, Any]:
+    """`wide` and `high` of the points that lie so far along beads (indices of them) [m]."""
+    wide, high = np.full(len(bead), DEFAULT_WIDTH), np.full(len(bead), DEFAULT_HEIGHT)
+    for k in np.unique(bead):
+        mine, own = bead == k, beads[k]
+        if len(getattr(own, "width", ())):
+            wide[mine] = np.interp(along[mine], own.s, own.width)
+            high[mine] = np.interp(along[mine], own.s, own.height)
+    return {"wide": coarse(wide), "high": coarse(high)}
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -171,6 +127,7 @@ MOST_POSTURES = 60_000
 FIRST = 250  # samples between the first postures looked at
 LOOKS = 7  # places within a stretch where the first looks are taken
 BLOCK = 65_536  # postures at once
+MOST_COLOURS = 255  # of a body
 GROWTH = 2.0  # of the tolerance, where there would be too many postures
 
 
@@ -183,15 +140,16 @@ def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
         return None
     bodies = [
         {
-            "name": name,
-            "kind": kind,
-            "joints": joints.tolist(),
-            "points": vertices.astype(np.float32).ravel(),
-            "corners": triangles.astype(np.uint16 if len(vertices) <= np.iinfo(np.uint16).max else np.uint32).ravel(),
+            "name": view.names[k],
+            "kind": view.kinds[k],
+            "bodies": list(view.bodies[k]),
+            "joints": view.joints[k].tolist(),
+            "point": [coarse(view.vertices[k][:, axis]) for axis in range(3)],
+            "normals": np.round(view.normals[k] * EVEN).astype(np.int8).ravel(),
+            "corners": _corners(view.triangles[k], len(view.vertices[k])),
+            **_painted(view.colours[k]),
         }
-        for name, kind, joints, vertices, triangles in zip(
-            view.names, view.kinds, view.joints, view.vertices, view.triangles, strict=True
-        )
+        for k in range(len(view.names))
     ]
     na, nh = len(cell.arm), len(cell.holder)
     return {
@@ -203,6 +161,18 @@ def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
         "nozzle": cell.arm.poses(np.zeros((1, na)))[0].ravel(),
         "part": cell.holder.poses(np.zeros((1, nh)))[0].ravel(),
     }
+
+
+def _corners(triangles: NDArray[np.int64], vertices: int) -> NDArray[Any]:
+    return triangles.astype(np.uint16 if vertices <= np.iinfo(np.uint16).max else np.uint32).ravel()
+
+
+def _painted(colours: NDArray[np.uint8]) -> dict[str, Any]:
+    """The colours of vertices (n, 3) as a `palette` of hex colours, and `paint` (n), which of them each has."""
+    palette, paint = np.unique(colours, axis=0, return_inverse=True)
+    if len(palette) > MOST_COLOURS:
+        palette, paint = colours.mean(axis=0, keepdims=True).round().astype(np.uint8), np.zeros(len(colours), dtype=int)
+    return {"palette": ["#" + bytes(each).hex() for each in palette], "paint": paint.ravel().astype(np.uint8)}
 
 
 def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
@@ -270,33 +240,33 @@ def _off(cell: Cell, trajectory: Trajectory, at: Indices, a: Indices, b: Indices
 # The whole scene, of a plan or of a refusal.
 
 EARLIER_BUDGET = 10_000  # points of beads that are there before the motion
-# Cividis, reversed and without its palest end: the ordinary is dark and calm, the exceptional is light.
+# From where it gets tight to the ordinary; told apart by all eyes, and none as pale as the part.
 COLOURS: list[tuple[float, str]] = [
-    (0.0, "#f2c928"),
-    (0.2, "#c9ae5c"),
-    (0.4, "#9b9476"),
-    (0.6, "#6e7277"),
-    (0.8, "#404d6c"),
-    (1.0, "#00224e"),
+    (0.0, "#c0272d"),
+    (0.2, "#ea7a33"),
+    (0.4, "#f0bd45"),
+    (0.6, "#86b79a"),
+    (0.8, "#4c97ba"),
+    (1.0, "#2d5c9e"),
 ]
 PAPER = "#ffffff"
 INK = "#1b2733"
 ALARM = "#d1495b"
 PLANNED = "#40566e"
 EARLIER = "#b9c4cf"  # beads of which no motion is shown: they were there before
-DEFAULT_WIDTH = 0.6e-3  # m: of a bead whose width nobody tells
+DEFAULT_WIDTH, DEFAULT_HEIGHT = 0.6e-3, 0.4e-3  # m: of a bead whose section nobody tells
+CUT_WIDTH = 0.4e-3  # m: of lines that are not printed
 
 
 def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     """Scene of a plan: `cell`, `part`, `motion`, `lines`, `earlier`, `places`, `dips`, `colours`, times in seconds."""
     traj = plan.trajectory
     cell = cell_data(plan.cell, plan.view)
-    width = _width(plan.beads)
-    look = {"width": width, "round": _round(plan.beads)}
+    look = {"round": _round(plan.beads)}
     earlier = plan.toolpath.beads[: plan.first_bead]
     still = [bead_lines(earlier, EARLIER_BUDGET) | look | {"colour": EARLIER}] if earlier else []
     if plan.toolpath.left_out:
-        still.append(cut_lines(plan.toolpath.left_out) | {"width": 0.5 * width, "colour": ALARM})
+        still.append(cut_lines(plan.toolpath.left_out) | {"round": True, "colour": ALARM})
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
     return {
         "cell": cell,
@@ -324,7 +294,7 @@ def failed_scene(
     view: CellView | None,
 ) -> dict[str, Any]:
     """Scene where there is no trajectory: all beads as planned, the failed one in red, the robots at their start."""
-    look = {"width": _width(beads), "round": _round(beads)}
+    look = {"round": _round(beads)}
     others = [bead for k, bead in enumerate(beads) if k != failed]
     still = [bead_lines(others, SCENE_BUDGET) | look | {"colour": PLANNED}]
     if failed is not None:
@@ -346,12 +316,6 @@ def failed_scene(
         "colours": COLOURS,
         "home": None if cell is None else cell.home.tolist(),
     }
-
-
-def _width(beads: Sequence[Bead]) -> float:
-    """The usual width of beads [m]."""
-    widths = [float(np.median(bead.width)) for bead in beads if len(getattr(bead, "width", ()))]
-    return float(np.median(widths)) if widths else DEFAULT_WIDTH
 
 
 def _round(beads: Sequence[Bead]) -> bool:

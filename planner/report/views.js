@@ -2,36 +2,78 @@
 const AROUND = 14, UPS = [0.22, 0.5], SEEN = 10, STANDS_OFF = 1e-3;  // directions tried; points of the print; m
 const SLANTS = [0.7, 0.95, 1.2], AROUND_IT = 8, ABOUT = 0.07;  // rad off the normal, of close views; points looked at around a place, and how far from it, of the size of the print
 const SIDEWAYS = 5, NOZZLE = 10;  // what a view from the arm's side, and the nozzle, are worth in points of the print
+const LEAST_SHARE = 0.42, ROOM_AROUND = 1.12;  // of the picture's height that a print takes at least; around print and wrist
+const LOOKED_AT = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95];  // shares of the motion
+const LEAST_HIGH = 0.15;  // m: what is seen of the scene at least, from top to bottom
+const OFF_CENTRE = 0.16;  // of the picture, how far from its middle a print is, to make room for the arm
+const BEHIND = 3;  // of the arm's last joints, which should be seen with the print
 
 function viewOf(stage, scene, which) {
-  const { THREE, bodies } = stage, box = new THREE.Box3();
-  const print = [...bodies.filter((b) => b.kind === "part").map((b) => b.mesh), ...stage.still.map((s) => s.mesh)];
-  if (stage.beads) print.push(stage.beads.mesh);
-  if (which === "cell" && scene.cell) {
-    bodies.filter((b) => b.kind === "arm" || b.kind === "head").forEach((b) => box.expandByObject(b.mesh));
-  }
-  print.forEach((mesh) => box.expandByObject(mesh));
-  const ball = box.getBoundingSphere(new THREE.Sphere());
-  const aspect = stage.div.clientWidth / Math.max(stage.div.clientHeight, 1);
-  const fov = stage.world.camera.fov * Math.PI / 360, narrow = Math.min(fov, Math.atan(Math.tan(fov) * aspect));
-  const far = ball.radius / Math.sin(narrow) * (which === "cell" ? 0.82 : 1);
-
-  const spots = spotsOf(stage, scene), clear = sight(stage);
-  const reach = scene.cell && which === "cell" ? reachOf(stage, scene) : null;
+  const { THREE, bodies } = stage, whole = which === "cell" && scene.cell, ups = whole ? UPS : [0.32, 0.55, 0.8];
+  const print = [...stage.still.map((s) => s.mesh), ...(stage.beads ? [stage.beads.mesh] : [])];
+  if (whole || !print.length) print.push(...bodies.filter((b) => b.kind === "part").map((b) => b.mesh));
+  const boxOf = (meshes) => meshes.reduce((box, mesh) => box.expandByObject(mesh), new THREE.Box3());
+  const last = Math.max(0, ...bodies.filter((b) => b.kind === "arm").map((b) => b.joints[1]));
+  const arm = bodies.filter((b) => b.kind === "head" || (b.kind === "arm" && (whole || b.joints[1] > last - BEHIND))).map((b) => b.mesh);
+  const printed = cornersOf(THREE, boxOf(print)), near = [...arm, ...(whole ? print : [])].flatMap((mesh) => cornersOf(THREE, boxOf([mesh])));
+  const aspect = stage.div.clientWidth / Math.max(stage.div.clientHeight, 1), tan = Math.tan(stage.world.camera.fov * Math.PI / 360);
+  const reach = scene.cell && stage.now ? reachOf(stage, scene) : null;
+  const moments = momentsOf(stage, scene);
   let best = null, most = -Infinity;
-  for (const up of which === "cell" ? UPS : [0.5]) for (let k = 0; k < AROUND; k++) {
+  for (const up of ups) for (let k = 0; k < AROUND; k++) {
     const azimuth = 2 * Math.PI * k / AROUND + 0.2;
     const from = new THREE.Vector3(Math.cos(azimuth) * Math.cos(up), Math.sin(azimuth) * Math.cos(up), Math.sin(up));
-    const eye = ball.center.clone().addScaledVector(from, far);
-    let score = up === UPS[0] ? 0.3 : 0;
+    const right = new THREE.Vector3(-Math.sin(azimuth), Math.cos(azimuth), 0), over = from.clone().cross(right);
+    const seen = (corners, way) => { const at = corners.map((c) => c.dot(way)); return [Math.min(...at), Math.max(...at)]; };
+    const [own, all] = [printed, [...printed, ...near]].map((corners) => [seen(corners, right), seen(corners, over), seen(corners, from)]);
+    const length = ([low, high]) => high - low;
+    // As much of the arm as leaves the print large; what does not go in is cut off on the arm's side.
+    const wanted = ROOM_AROUND * Math.max(length(all[1]), length(all[0]) / aspect);
+    const largest = Math.max(length(own[1]) / LEAST_SHARE, ROOM_AROUND * length(own[0]) / aspect);
+    const high = whole ? wanted : Math.max(Math.min(wanted, largest), LEAST_HIGH), wide = high * aspect;
+    const middle = (at, room, frame) => {
+      if (whole) return (room[0] + room[1]) / 2;
+      const off = Math.max(OFF_CENTRE * frame - Math.max(length(at) - 0.6 * frame, 0), 0), own = (at[0] + at[1]) / 2;
+      return Math.min(Math.max((room[0] + room[1]) / 2, own - off), own + off);
+    };
+    const target = right.clone().multiplyScalar(middle(own[0], all[0], wide))
+      .addScaledVector(over, middle(own[1], all[1], high)).addScaledVector(from, (own[2][0] + own[2][1]) / 2);
+    const eye = target.clone().addScaledVector(from, high / 2 / tan + (whole ? 0.45 * length(all[2]) : 0));
+    let score = up === ups[0] ? 0.3 : 0;
     if (reach !== null) score += SIDEWAYS * Math.abs(Math.sin(azimuth - reach));  // an arm shows its posture from its side
-    for (const spot of spots) {
+    for (const { spots, clear } of moments) for (const spot of spots) {
       const facing = spot.out ? Math.max(from.dot(spot.out), 0) : 1;
-      if (facing > 0 && clear(eye, spot.at, spot.own)) score += spot.weight * (0.4 + 0.6 * facing);
+      if (facing > 0 && clear(eye, spot.at, spot.own)) score += 2 * spot.weight * (0.15 + 0.85 * facing) / moments.length;
     }
-    if (score > most) { most = score; best = eye; }
+    if (score > most) { most = score; best = [eye, target]; }
   }
-  return [best, ball.center];
+  return best;
+}
+
+// What should be seen at some moments of the motion, and whether it is: by the boxes around bodies, which is quick.
+function momentsOf(stage, scene) {
+  const { THREE } = stage, solid = stage.bodies.filter((b) => b.joints && b.mesh.visible), now = stage.t;
+  const times = scene.motion && scene.lines ? [...LOOKED_AT.map((share) => share * scene.end), now] : [now];
+  solid.forEach(({ mesh: { geometry } }) => { if (!geometry.boundingBox) geometry.computeBoundingBox(); });
+  return times.map((t) => {
+    stage.at(t);
+    const spots = spotsOf(stage, scene), back = solid.map(({ mesh }) => mesh.matrixWorld.clone().invert());
+    const start = new THREE.Vector3(), to = new THREE.Vector3(), ray = new THREE.Ray(), hit = new THREE.Vector3();
+    const clear = (eye, at, own = []) => solid.every(({ mesh }, k) => {
+      if (own.includes(mesh)) return true;
+      start.copy(eye).applyMatrix4(back[k]); to.copy(at).applyMatrix4(back[k]);
+      const length = to.distanceTo(start);
+      ray.set(start, to.clone().sub(start).divideScalar(length));
+      const box = mesh.geometry.boundingBox;
+      return box.containsPoint(to) || !ray.intersectBox(box, hit) || hit.distanceTo(start) > length - STANDS_OFF;
+    });
+    return { spots, clear };
+  });
+}
+
+function cornersOf(THREE, { min, max }) {
+  if (min.x > max.x) return [];  // of nothing
+  return [0, 1, 2, 3, 4, 5, 6, 7].map((k) => new THREE.Vector3(k & 1 ? max.x : min.x, k & 2 ? max.y : min.y, k & 4 ? max.z : min.z));
 }
 
 // A close view of a place of the part frame: slantwise, from above if possible, past the nozzle.

@@ -15,11 +15,11 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell
-from planner.cell.solids import Body, Mesh, Packed, packed, triangles_of
+from planner.cell.solids import Body, Mesh, Packed, packed
 from planner.cell.urdf import link_frame
 from planner.collision.point_tree import SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
-from planner.plan import Approach, CellView, Check, Trajectory
+from planner.plan import Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
@@ -103,11 +103,6 @@ class Apart:
     near_print: tuple[PrintPair, ...]
     swept: Swept
 
-    @property
-    def view(self) -> CellView:
-        """All bodies of the cell, with all joints at 0."""
-        return _view(self.bodies)
-
 
 def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
     """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`."""
@@ -151,24 +146,6 @@ def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) ->
     close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
     nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
     return Findings(checks, metrics, series), nearest
-
-
-def cell_view(cell: Cell) -> CellView:
-    """All bodies of a cell with all joints at 0, by the names that approaches give them."""
-    return _view(CellBodies.of(cell))
-
-
-def _view(bodies: CellBodies) -> CellView:
-    rest = bodies.poses(np.zeros((1, len(bodies.cell.joint_names))))[0]
-    surfaces = [triangles_of(thing.solid) for thing in bodies.things]
-    placed = [rest[thing.carrier] @ thing.T_carrier_solid for thing in bodies.things]
-    return CellView(
-        names=tuple(bodies.name(thing) for thing in bodies.things),
-        kinds=tuple(thing.kind for thing in bodies.things),
-        vertices=tuple(vertices @ T[:3, :3].T + T[:3, 3] for T, (vertices, _) in zip(placed, surfaces, strict=True)),
-        triangles=tuple(triangles for _, triangles in surfaces),
-        joints=np.array([bodies.moved_by(thing) for thing in bodies.things], dtype=np.int64).reshape(-1, 2),
-    )
 
 
 def check_start(problem: Problem, cell: Cell) -> None:

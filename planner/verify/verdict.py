@@ -21,7 +21,7 @@ from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.cell.cell import Cell
 from planner.collision.print_body import PrintBody, print_body, standing
-from planner.plan import TRAVEL, Approach, CellView, Check, Trajectory
+from planner.plan import TRAVEL, Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import (
@@ -65,13 +65,12 @@ ON_PATH = frozenset(
 
 @dataclass(frozen=True)
 class Report:
-    """checks, metrics by name (units in the names), per-sample series for the report, approaches and view (see Plan)."""
+    """checks, metrics by name (units in the names), per-sample series for the report, and approaches (see Plan)."""
 
     checks: tuple[Check, ...]
     metrics: dict[str, float]
     series: dict[str, Array]
     approaches: tuple[Approach, ...]
-    view: CellView
 
 
 def verify(
@@ -113,7 +112,7 @@ def verify(
         ]
         distances, approaches = keep_apart(judged, (near[0].result(), near[1].result()), apart.result())
     found = joined([*parts, distances])
-    return Report(found.checks, dict(found.metrics), dict(found.series), approaches, apart.result().view)
+    return Report(found.checks, dict(found.metrics), dict(found.series), approaches)
 
 
 def _samples(t: Trajectory) -> Trajectory:

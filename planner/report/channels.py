@@ -1,0 +1,123 @@
+"""What beads can be coloured by: values along them, and classes of values that are each a colour.
+
+Classes are few and told by their ends: where nearly all of a print has one value, a smooth scale would show nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planner.base.arrays import Array
+from planner.report.extruder import even_flow, surplus
+from planner.report.page import coarse
+
+if TYPE_CHECKING:
+    from planner.plan import Plan
+
+# What series of the verifier say, and in which unit; where these are small it gets tight.
+TIGHT = (
+    ("sigma", "Distance from singularity, σ", "", 3),
+    ("wrist_deg", "Wrist: joint 5 from straight", "°", 1),
+    ("limit_margin_deg", "Distance from the nearest end stop", "°", 1),
+    ("clearance_mm", "Least distance of two bodies beyond the tip", "mm", 1),
+)
+RATIOS = ("velocity_ratio", "acceleration_ratio", "jerk_ratio")
+SPEEDS = (0.5, 0.75, 0.9, 0.98)  # of the commanded one: where classes of speed end
+SHARES = (0.05, 0.2, 0.4, 0.6, 0.8)  # of all that is laid, from the tight end on: where classes of other values end
+WORDS = "red: the tightest 5 % of what is laid"
+FEW_LAYERS = 6
+MOST_ALIKE = 0.5  # of all that is laid in one class: what is coloured by first shows more differences
+
+
+def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
+    """What beads can be coloured by at samples `kept`: that first which they are coloured by first.
+
+    Each has `key`, `label`, `unit`, `digits`, `values`; `min` and `max` of these; `edges` (k + 1) of its classes; and `bad`,
+    at which of its ends it gets tight.
+    """
+    if not len(kept):
+        return []
+    traj = plan.trajectory
+    commanded = plan.problem.process.speed * 1e3
+    speed = traj.speed[kept] * 1e3
+    low, high = min(float(speed.min()), 0.9 * commanded), max(float(speed.max()), commanded)
+    inner = [share * commanded for share in SPEEDS]
+    out = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, inner=inner)]
+    for name, label, unit, digits in TIGHT:
+        values = plan.series[name][kept] if name in plan.series else np.empty(0)
+        if np.isfinite(values).any():
+            out.append(_channel(name, label, unit, values, "low", digits=digits))
+    ratios = [np.abs(plan.series[name][kept]).reshape(len(kept), -1) for name in RATIOS if name in plan.series]
+    if ratios:
+        used = 100.0 * np.nanmax(np.where(np.isfinite(every := np.hstack(ratios)), every, 0.0), axis=1)
+        out.append(_channel("load", "Joint limits used", "%", used, "high", 0.0, digits=0))
+    if "tilt_deg" in plan.series:
+        lean = plan.series["tilt_deg"][kept]
+        out.append(_channel("tilt_deg", "Nozzle off the surface normal", "°", lean, "high", 0.0, digits=2))
+    over = surplus(plan)
+    if over is not None:
+        share, most = over[kept], max(float(over[kept].max()), 1.0)
+        out.append(_channel("surplus", "Too much material, share of what flows", "%", share, "high", 0.0, most))
+    flow = even_flow(traj)[kept] * 1e9
+    if np.ptp(flow) > 0:
+        out.append(_channel("flow", "Flow of material", "mm³/s", flow, "low", digits=2))
+    if layers := int(np.ptp(traj.layer[kept])):
+        first = int(traj.layer[kept].min()) + 1
+        ends = None if layers >= FEW_LAYERS else [first + k + 0.5 for k in range(layers)]
+        out.append(_channel("layer", "Layer", "", traj.layer[kept] + 1.0, "none", digits=0, inner=ends))
+    shown = next((k for k, each in enumerate(out) if _most_alike(each) < MOST_ALIKE), 0)
+    return [{**each, "first": k == shown} for k, each in enumerate(out)]
+
+
+def edges_of(values: Array, inner: Sequence[float] | None, bad: str, digits: int) -> Array:
+    """Ends of classes of values (n), ascending: at `inner`, or so that the tightest values are a class of their own."""
+    finite = values[np.isfinite(values)]
+    if inner is None:
+        shares = [1.0 - share for share in SHARES] if bad == "high" else list(SHARES)
+        if bad == "none":
+            shares = [k / 6 for k in range(1, 6)]
+        inner = np.round(np.quantile(finite, sorted(shares)), digits).tolist()
+    low, high = float(finite.min()), float(finite.max())
+    between = np.unique([edge for edge in inner if low < edge < high])
+    return np.array([low, *between, high])
+
+
+def _most_alike(channel: dict[str, Any]) -> float:
+    """The share of what is laid that the largest class holds."""
+    return float(max(channel["shares"]))
+
+
+def _channel(
+    key: str,
+    label: str,
+    unit: str,
+    values: NDArray[np.floating[Any]],
+    bad: str,
+    low: float | None = None,
+    high: float | None = None,
+    *,
+    digits: int = 1,
+    inner: Sequence[float] | None = None,
+) -> dict[str, Any]:
+    finite = values[np.isfinite(values)]
+    least = float(finite.min()) if low is None else low
+    most = max(float(finite.max()) if high is None else high, least + 1e-6)
+    edges = edges_of(np.asarray(values, dtype=np.float64), inner, bad, digits)
+    count = np.bincount(np.searchsorted(edges[1:-1], finite, side="right"), minlength=len(edges) - 1)
+    return {
+        "key": key,
+        "label": label,
+        "unit": unit,
+        "values": coarse(np.asarray(values, dtype=np.float64)),
+        "min": least,
+        "max": most,
+        "edges": edges.tolist(),
+        "shares": (count / len(finite)).tolist(),
+        "bad": bad,
+        "digits": digits,
+        "words": WORDS if inner is None and bad != "none" else "",
+    }
