@@ -218,8 +218,7 @@ def test_dips_are_marked_where_they_are_and_say_why() -> None:
     words = next(words for words in marks["words"] if "joint_4" in words[2])
     assert words[2:] == [
         "why: joint_4 jerk",
-        "would avoid it: process.speed_mm_s: 18",
-        "or cell.limits.joint_4.jerk_rad_s3: 1800 and 2 other limits",
+        "would avoid it: cell.limits.joint_4.jerk_rad_s3: 1800 and 2 other limits",
         "or process.corner_tolerance_mm: about 0.4",
     ]
 
@@ -452,7 +451,7 @@ def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytes
     assert f"over the bound without jerk limits │ {over[1]:.3f}" in out
     worst = max(plan.dips, key=lambda dip: dip.lost)
     assert f"{len(plan.dips)} dips cost" in out and f"the dearest: bead {worst.bead}, layer {worst.layer + 1}" in out
-    assert "joint_4 jerk; process.speed_mm_s: 18 would avoid it on this path (not planned anew)" in out
+    assert "joint_4 jerk" in out and "process.speed_mm_s" not in out
     assert with_ratios({"deposition_time_s": 3.0, "bound_deposition_time_s": 0.0}) == {
         "deposition_time_s": 3.0,
         "bound_deposition_time_s": 0.0,

@@ -15,7 +15,7 @@ from planner.plan.plan import used
 if TYPE_CHECKING:
     from planner.base.errors import Refusal
     from planner.cell.cell import Cell
-    from planner.plan import Dip, Plan
+    from planner.plan import Advice, Dip, Plan
     from planner.plan.robustness import Bound, Displacement, Robustness, TriedDisplacement
     from planner.problem import Problem
 
@@ -107,6 +107,7 @@ KEYS = {
     "nearer": "what nozzle and head keep from part and print, where that is less than usual, and why; only then",
     "splits": "where drawn beads are laid in pieces, each as a bead; only where process.split_beads made some",
     "dips": "stretches where the tip is slower than commanded, each with cause and remedies",
+    "advice": "changes within bounds that would help most, tried on some slow beads, the best first",
     "events": "what the extruder and its heating do besides, in order of time",
     "materials": "what the print takes of each material; only where they have names",
     "tolerance": "whether the plan holds where the part stands a little elsewhere; only where that was asked for",
@@ -160,6 +161,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
         **_nearer(plan),
         **_splits(plan),
         "dips": [_dip(dip) for dip in plan.dips],
+        "advice": [_advice(each) for each in plan.advice],
         "events": [
             {
                 "kind": event.kind,
@@ -221,6 +223,24 @@ def _dip(dip: Dip) -> dict[str, Any]:
         "limit": dip.limit,
         "over_extruded_mm3": round(dip.over_extruded * 1e9, DIP_DECIMALS),
         "avoid": {remedy.kind: {"exact": remedy.exact, "change": dict(remedy.changes)} for remedy in dip.remedies},
+    }
+
+
+def _advice(each: Advice) -> dict[str, Any]:
+    """A change that was tried, with what it gives on the beads that it was tried on, and at least on the whole print."""
+    return {
+        "kind": each.kind,
+        "field": each.field,
+        "value": each.value,
+        "tried_on_beads": list(each.beads),
+        "slow_length_fraction_tried": round(each.covered, DIP_DECIMALS),
+        "at_speed_fraction_now": round(each.share_now, DIP_DECIMALS),
+        "at_speed_fraction": round(each.share, DIP_DECIMALS),
+        "time_now_s": round(each.time_now, DIP_DECIMALS),
+        "time_s": round(each.time, DIP_DECIMALS),
+        "print_longer_s": round(each.seconds, DIP_DECIMALS),
+        "whole_at_speed_fraction_now": round(each.whole_now, DIP_DECIMALS),
+        "whole_at_speed_fraction_at_least": round(each.whole, DIP_DECIMALS),
     }
 
 

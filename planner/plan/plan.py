@@ -158,6 +158,46 @@ class Dip:
 
 
 @dataclass(frozen=True)
+class Advice:
+    """A change that a user could make, tried on some slow beads, and what it gives.
+
+    kind               "corner_tolerance", "lean" or "speed"
+    field, value       of the problem file, in its units
+    beads              indices of those that it was tried on
+    covered            share of the print's length below speed that lies on these
+    share_now, share   of these beads' length at the commanded speed, before and with it
+    time_now, time     that laying them takes [s]
+    seconds            by which the print takes longer with it, other beads at the same share of their speed [s]
+    whole_now, whole   share of the whole print's length at speed, before, and with it on these beads alone
+    """
+
+    kind: str
+    field: str
+    value: float
+    beads: tuple[int, ...]
+    covered: float
+    share_now: float
+    share: float
+    time_now: float
+    time: float
+    whole_now: float
+    whole: float
+    seconds: float
+
+    @property
+    def words(self) -> str:
+        """The change, what it gives, and what it costs or saves."""
+        spent = f"{abs(self.seconds):.1f} s {'more' if self.seconds > 0.0 else 'less'}"
+        return f"{self.field}: {self.value:g} ({self.share_now:.0%} at speed there becomes {self.share:.0%}; print {spent})"
+
+    @property
+    def tried_on(self) -> str:
+        """What it was tried on, in words."""
+        beads = "1 bead" if len(self.beads) == 1 else f"{len(self.beads)} beads"
+        return f"tried on {beads} with {self.covered:.0%} of the length below speed"
+
+
+@dataclass(frozen=True)
 class Nearer:
     """Nozzle and head keep less from part and print than usual, since there is no way with that; distances in metres.
 
@@ -198,6 +238,7 @@ class Plan:
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time
+    advice:   changes that would help most, tried on some slow beads, the best first
     headroom: whether it holds for parts that stand a little elsewhere; None without a tolerance
     approaches: pairs of bodies that come near each other, those that lack most, or are nearest to it, first
     view:     the bodies of the cell, for pictures
@@ -221,6 +262,7 @@ class Plan:
     settings: dict[str, Any]
     resolved_by: str = ""
     dips: tuple[Dip, ...] = ()
+    advice: tuple[Advice, ...] = ()
     headroom: Robustness | None = None
     approaches: tuple[Approach, ...] = ()
     view: CellView | None = None

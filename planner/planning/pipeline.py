@@ -35,6 +35,7 @@ from planner.motion.travel.plan import Travel, carried_travels, plan_travels
 from planner.plan import Check, Nearer, Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
 from planner.plan.seal import INPUTS, changed_since, sealed
+from planner.planning.advice import advise
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
 from planner.planning.context import PlanningContext, context_of
@@ -159,6 +160,8 @@ def solve(
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
             metrics = report.metrics | _distance(given, report)
+            whole = first_bead == 0 and strategy == DEFAULT and baseline
+            advice = advise(given, planned.paths, trajectory, dips) if whole else ()
         with stages.stage("baseline"):
             of_baseline = baseline_metrics()
     judged = None
@@ -180,6 +183,7 @@ def solve(
         baseline=of_baseline,
         settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
         dips=dips,
+        advice=advice,
         approaches=report.approaches,
         view=cell_view(cell),
         headroom=judged,
@@ -602,6 +606,7 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
             approaches=report.approaches,
             view=cell_view(plan.cell),
             dips=(),
+            advice=(),
         )
     )
 

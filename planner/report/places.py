@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from planner.report.templates import render
 from planner.report.wording import CHECK_NAMES, significant
 
 if TYPE_CHECKING:
-    from planner.plan import Approach, Check, Dip, Plan, Trajectory
+    from planner.plan import Approach, Check, Dip, Plan, Remedy, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
 # Approaches: where bodies come nearest to each other.
@@ -33,6 +34,7 @@ def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> Markup:
 # Dips: marks on the part, a table of those that cost most, and what would avoid them.
 
 MOST_ROWS = 30
+SLOWEST_ADVISED = 0.5  # of the commanded speed: nobody would print slower to avoid a dip
 MOST_MARKS = 800  # each carries some 300 bytes of words
 
 
@@ -80,6 +82,7 @@ def dips_section(plan: Plan) -> Markup:
     return render(
         "dips",
         dips=dips,
+        advice=plan.advice,
         rests=[dip for dip in plan.dips if dip.limit == "stop"],
         causes=sorted(by_cause.items(), key=lambda item: -sum(dip.lost for dip in item[1])),
         shown=worst_first(dips)[:MOST_ROWS],
@@ -88,6 +91,7 @@ def dips_section(plan: Plan) -> Markup:
         flows=any(dip.over_extruded for dip in dips),
         commanded=plan.problem.process.speed * 1e3,
         place=place_words,
+        followable=partial(followable, commanded=plan.problem.process.speed),
     )
 
 
@@ -96,13 +100,19 @@ def place_words(dip: Dip) -> str:
     return f"bead {dip.bead}, layer {dip.layer + 1}, {dip.from_s * 1e3:.1f} to {dip.to_s * 1e3:.1f} mm along it"
 
 
+def followable(dip: Dip, commanded: float) -> list[Remedy]:
+    """Remedies that a user could follow: no speed below half of the commanded one [m/s]."""
+    least = SLOWEST_ADVISED * commanded * 1e3
+    return [each for each in dip.remedies if each.kind != "speed" or each.changes[0][1] >= least]
+
+
 def _lines(dip: Dip, commanded: float) -> list[str]:
     return [
         place_words(dip),
         f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s, {dip.lost:.3f} s lost",
         f"why: {dip.cause}",
         *([f"too much material: {dip.over_extruded * 1e9:.3g} mm³"] if dip.over_extruded else []),
-        *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(dip.remedies)),
+        *(f"{'or' if k else 'would avoid it:'} {remedy.words}" for k, remedy in enumerate(followable(dip, commanded))),
     ]
 
 
@@ -257,7 +267,7 @@ def _of_dip(plan: Plan, sample: int) -> str:
     dip = next((dip for dip in plan.dips if abs(dip.t - t) < SAME_DIP), None)
     if dip is None:
         return BUSY
-    remedies = "; or ".join(remedy.words for remedy in dip.remedies)
+    remedies = "; or ".join(remedy.words for remedy in followable(dip, plan.problem.process.speed))
     return f"Because of: {dip.cause}." + (f" Would avoid it: {remedies}." if remedies else "")
 
 

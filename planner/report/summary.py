@@ -18,6 +18,7 @@ from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, resumed_word
 if TYPE_CHECKING:
     from planner.plan import Plan
 
+MOST_ADVISED = 3  # changes in the summary; the report has all
 # metric, label, unit, factor, decimals
 ROWS = (
     ("at_speed_fraction", "at commanded speed (±2 %)", "% of length", 100.0, 1),
@@ -74,6 +75,7 @@ def print_summary(
     for line in (
         *notes,
         _dips(plan),
+        _advice(plan),
         *materials_words(plan),
         events_words(plan.trajectory.events),
         *robustness_words(plan),
@@ -97,17 +99,22 @@ def print_summary(
 
 
 def _dips(plan: Plan) -> str:
-    """How many dips there are, what they cost, and the dearest of them with what would avoid it; empty without any."""
+    """How many dips there are, what they cost, and the dearest of them; empty without any."""
     dips = without_stops(plan.dips)
     if not dips:
         return ""
     worst = worst_first(dips)[0]
     lost = sum(dip.lost for dip in dips)
     count = "1 dip costs" if len(dips) == 1 else f"{len(dips)} dips cost"
-    text = f"{count} {lost:.2f} s; the dearest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
-    return text + (
-        f"; {worst.remedies[0].words} would avoid it on this path (not planned anew)" if worst.remedies else ""
-    )
+    return f"{count} {lost:.2f} s; the dearest: {place_words(worst)}, {worst.speed * 1e3:.1f} mm/s, {worst.cause}"
+
+
+def _advice(plan: Plan) -> str:
+    """What would help most, and what it was tried on; empty where nothing was found."""
+    if not plan.advice:
+        return ""
+    changes = "; or ".join(each.words for each in plan.advice[:MOST_ADVISED])
+    return f"what would help most: {changes}; {plan.advice[0].tried_on}"
 
 
 def _number(value: float, decimals: int) -> str:

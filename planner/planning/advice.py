@@ -1,0 +1,195 @@
+"""What would help most: changes that a user could make, each planned on some slow beads, told by what it gives.
+
+A change is tried with the search, refinement and timing of the plan itself, but only on the beads with most length below
+speed, as far as that is cheap: the whole print would take as long again for each. What is told of the whole print is
+therefore what these beads alone make of it. Another speed is tried along the same joint paths.
+Clearance is that of the print as planned; travel, and what verification says, only a new plan tells.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planner.base.errors import InputError, Refusal
+from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.plan import Advice, Dip, Trajectory
+from planner.planning.context import PlanningContext
+from planner.problem import Problem
+from planner.resolve.joint_path import JointPath
+from planner.resolve.ladder import ladder
+from planner.resolve.sqp import refine_paths
+from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import tasks_of
+
+SHARE = 0.08  # of the print's waypoints that each change is tried on, at most,
+LEAST = 400  # or so many, which take no time worth telling
+SLOWER = 0.75  # of the commanded speed
+CORNER = 0.5  # of a bead's width: the widest corner tolerance
+LEAN = math.radians(5.0)
+WIDEST_CORNER = 1e-3  # m, whatever the bead's width
+AT_SPEED = 0.98  # of the commanded speed
+SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
+STEP = 4e-3  # s between the instants at which a timed bead is judged
+GAIN = 2e-3  # share of the length at speed, of the print, that is worth telling
+SAME = 1e-12
+
+
+@dataclass(frozen=True)
+class Laid:
+    """Beads in time: length at the commanded speed, length in all [m], and how long they take [s]."""
+
+    at_speed: float
+    length: float
+    time: float
+
+    @property
+    def slow(self) -> float:
+        """Length below speed [m]."""
+        return self.length - self.at_speed
+
+    @property
+    def share(self) -> float:
+        """Of the length at speed."""
+        return self.at_speed / self.length if self.length else 1.0
+
+
+@dataclass(frozen=True)
+class Changed:
+    """A change of one field: its kind, the field, its value as the file holds it, and the problem that has it."""
+
+    kind: str
+    field: str
+    value: float
+    problem: Problem
+
+
+def advise(
+    given: PlanningContext, paths: Sequence[JointPath], trajectory: Trajectory, dips: Sequence[Dip]
+) -> tuple[Advice, ...]:
+    """Changes within bounds that raise the print's length at speed, what costs least for its gain first; none where nothing is
+    slow, or where all slow beads are too large to try.
+
+    given: what was planned; paths: of its beads, in their order; trajectory: of these
+    """
+    whole = recorded(trajectory, given.problem, range(len(paths)))
+    slow = {bead: recorded(trajectory, given.problem, [bead]).slow for bead in sorted({dip.bead for dip in dips})}
+    worst = worst_beads(paths, slow)
+    if not worst:
+        return ()
+    now = recorded(trajectory, given.problem, worst)
+    found = []
+    for change in changes(given.problem):
+        tried = _tried(given, change, worst, paths)
+        if tried is None:
+            continue
+        share = (whole.at_speed - now.at_speed + tried.at_speed) / (whole.length - now.length + tried.length)
+        if share < whole.share + GAIN:
+            continue
+        others = whole.time * (given.problem.process.speed / change.problem.process.speed - 1.0)
+        others *= 1.0 - now.time / whole.time
+        advice = Advice(
+            kind=change.kind,
+            field=change.field,
+            value=change.value,
+            beads=tuple(worst),
+            covered=min(now.slow / whole.slow, 1.0),
+            share_now=now.share,
+            share=tried.share,
+            time_now=now.time,
+            time=tried.time,
+            whole_now=whole.share,
+            whole=share,
+            seconds=tried.time - now.time + others,
+        )
+        price = (whole.time + advice.seconds) * (1.0 + SPEED_PRICE * (1.0 - share))
+        found.append((price, advice))
+    return tuple(advice for _, advice in sorted(found, key=lambda each: each[0]))
+
+
+def recorded(trajectory: Trajectory, problem: Problem, beads: Sequence[int]) -> Laid:
+    """Some beads as a trajectory lays them."""
+    t = trajectory
+    speed = t.speed[t.deposit & np.isin(t.bead, list(beads))]
+    fast = speed >= AT_SPEED * problem.process.speed
+    return Laid(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
+
+
+def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[int]:
+    """Indices of the beads that have most length below speed, as many as may be tried, in order of the print.
+
+    slow: that length [m], by bead. Those too large are left out, since length at speed adds up whichever bead it is on.
+    """
+    left = max(SHARE * sum(len(path.q) for path in paths), LEAST)
+    out = []
+    for bead in sorted(slow, key=lambda i: (-slow[i], i)):
+        if slow[bead] > 0.0 and len(paths[bead].q) <= left:
+            left -= len(paths[bead].q)
+            out.append(bead)
+    return sorted(out)
+
+
+def changes(problem: Problem) -> Iterator[Changed]:
+    """What a user could change, each by itself: corners rounder, the nozzle leaning, and a lower speed."""
+    process = problem.process
+    widest = (
+        math.floor(min(CORNER * process.bead.width, WIDEST_CORNER) * 1e5 + SAME) * 1e-5
+    )  # hundredths of a millimetre
+    if widest > process.corner_tolerance + SAME:
+        changed = process.model_copy(update={"corner_tolerance": widest})
+        yield _change(problem, "corner_tolerance", "process.corner_tolerance_mm", widest * 1e3, changed)
+    if process.cones.tilt + SAME < LEAN:
+        changed = process.model_copy(update={"cones": process.cones.model_copy(update={"tilt": LEAN})})
+        yield _change(problem, "lean", "process.cones.nozzle_normal_deg", math.degrees(LEAN), changed)
+    speed = SLOWER * process.speed
+    yield _change(problem, "speed", "process.speed_mm_s", speed * 1e3, process.model_copy(update={"speed": speed}))
+
+
+def _change(problem: Problem, kind: str, field: str, value: float, process: object) -> Changed:
+    return Changed(kind, field, float(f"{value:.4g}"), problem.model_copy(update={"process": process}))
+
+
+def _tried(given: PlanningContext, change: Changed, beads: Sequence[int], paths: Sequence[JointPath]) -> Laid | None:
+    """How some beads are laid with a change; None where they have no way, or are other beads with it. At another speed the
+    joints keep to their paths."""
+    problem = change.problem
+    if change.kind == "speed":
+        speed = problem.process.speed
+        same = [replace(paths[i], task=replace(paths[i].task, speed=speed)) for i in beads]
+        return _laid(replace(given, problem=problem), same)
+    try:
+        toolpath = build_toolpath(problem) if change.kind == "corner_tolerance" else given.toolpath
+        if len(toolpath.beads) != len(given.toolpath.beads):
+            return None
+        tasks = tasks_of(problem, toolpath)
+        some = [tasks[i] for i in beads]
+        start = ladder(given.cell, some, problem.resolve, given.obstacles)
+        found = refine_paths(given.cell, start, problem.resolve, given.obstacles, given.terms)
+    except (Refusal, InputError):
+        return None
+    return _laid(replace(given, problem=problem), found)
+
+
+def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> Laid:
+    """Beads timed, and judged every few milliseconds."""
+    process = given.problem.process
+    moving = process.hand_over == "motion"
+    each = [
+        laid(time_path(given.cell, path, (moving, moving), given.problem.resolve.timing), process.speed)
+        for path in paths
+    ]
+    return Laid(sum(one.at_speed for one in each), sum(one.length for one in each), sum(one.time for one in each))
+
+
+def laid(timed: TimedPath, speed: float) -> Laid:
+    """Of one bead in time, without its runs."""
+    task = timed.path.task
+    low, high = float(task.s[task.first]), float(task.s[task.last])
+    t = np.append(np.arange(0.0, timed.duration, STEP), timed.duration)
+    s = np.clip(timed.at(t)[1], low, high)
+    step, dt = np.diff(s), np.diff(t)
+    fast = step >= AT_SPEED * speed * dt
+    return Laid(float(step[fast].sum()), float(step.sum()), float(dt[step > 0.0].sum()))
