@@ -186,14 +186,14 @@ class Advice:
 
     @property
     def words(self) -> str:
-        """The change, what it gives, and what it costs or saves."""
-        spent = f"{abs(self.seconds):.1f} s {'more' if self.seconds > 0.0 else 'less'}"
-        return f"{self.field}: {self.value:g} ({self.share_now:.0%} at speed there becomes {self.share:.0%}; print {spent})"
+        """The change, what it gives where it was tried, and what another speed costs."""
+        longer = f", print {self.seconds:.1f} s longer" if self.kind == "speed" else ""
+        return f"{self.field}: {self.value:g} ({self.share_now:.0%} of their length at speed becomes {self.share:.0%}{longer})"
 
     @property
     def tried_on(self) -> str:
         """What it was tried on, in words."""
-        beads = "1 bead" if len(self.beads) == 1 else f"{len(self.beads)} beads"
+        beads = "1 slow bead" if len(self.beads) == 1 else f"{len(self.beads)} slow beads"
         return f"tried on {beads} with {self.covered:.0%} of the length below speed"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from planner.base.distribution import Spread
 from planner.base.errors import InputError, Refusal, nearest_name
-from planner.base.processes import beside, in_background, in_halves, spare_core
+from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
 from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.base.versions import versions
@@ -429,7 +429,7 @@ def _plan_along(
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
-        bound = {"bound_deposition_time_s": sum(bound_time(cell, path) for path in rest)}
+        bound = {"bound_deposition_time_s": sum(of_each(partial(bound_time, cell), rest))}
     return trajectory, replace(report, metrics=report.metrics | bound), travels
 
 
@@ -477,7 +477,8 @@ def trajectory_of(
     done = np.cumsum([len(path.q) for path in paths])
     middle = 1 + int(np.searchsorted(done, 0.5 * done[-1]))
     with stages.stage("timing"):
-        timed = [each for half in in_halves(part, n, second_process, middle) for each in half]
+        halves = chain.from_iterable(in_halves(part, n, second_process, middle))
+        timed = [replace(each, path=path) for each, path in zip(halves, paths, strict=True)]  # no path twice in memory
     with stages.stage("travel"):
         travels = [each for half in in_halves(ways, n, second_process) for each in half]
         trajectory = join(cell, toolpath, problem.process, timed, travels, dt)

@@ -114,7 +114,7 @@ def _advice(plan: Plan) -> str:
     if not plan.advice:
         return ""
     changes = "; or ".join(each.words for each in plan.advice[:MOST_ADVISED])
-    return f"what would help most: {changes}; {plan.advice[0].tried_on}"
+    return f"what would help most, {plan.advice[0].tried_on}: {changes}"
 
 
 def _number(value: float, decimals: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NoReturn
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.errors import Hints, Refusal
+from planner.base.processes import of_each
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.resolve.prices import WOUND
 from planner.resolve.splines import places_along
@@ -308,7 +310,7 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
     joint. Raises Refusal for a bead along which a joint leaves its range however it is turned.
     """
-    options = [_turns(cell, path) for path in paths]
+    options = of_each(partial(_turns, cell), paths)
     limits, na = cell.limits, len(cell.arm)
     home, rate = cell.home, WOUND / limits.velocity
     # the holder waits where the first bead begins, and stays where the last one ends

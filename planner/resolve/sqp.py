@@ -213,7 +213,7 @@ def refine_beads(
 
     for found in in_halves(part, len(chains), len(chains) >= MANY):  # short beads: threads wait for each other's Python
         for i, path in found.items():
-            done[i] = path
+            done[i] = replace(path, task=paths[i].task)  # one of each task, whichever process it comes from
     return done
 
 
