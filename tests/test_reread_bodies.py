@@ -65,6 +65,7 @@ WINGS = [name for name in PRINTS if "wing" in name]
 CORES = [name for name in PRINTS if "core" in name]
 SOLIDS = ["box", "hill"]
 SHEETS = ["faces", "faces twice"]
+FEW = ("wing", "core", "hill")  # of which all is tried in quick tests
 
 
 def mould() -> trimesh.Trimesh:
@@ -135,6 +136,7 @@ def moved(
     return [replace(bead, points=by(bead.points), normals=normals(np.array(bead.normals))) for bead in toolpath.beads]
 
 
+@pytest.mark.slow(keep=tuple(name for name in PRINTS if name != "faces twice"))
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_true_print_passes_and_is_judged(name: str) -> None:
     findings = found(*print_of(name))
@@ -146,6 +148,7 @@ def test_a_true_print_passes_and_is_judged(name: str) -> None:
     assert not [check for check in findings.checks if "not read" in check.where]
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_print_turned_by_five_degrees(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -155,6 +158,7 @@ def test_a_print_turned_by_five_degrees(name: str) -> None:
     assert failed(found(problem, toolpath, beads)) & {PART, INSIDE, FILLED, DRAWN, LEFT}
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_print_beside_its_place(name: str) -> None:
     """By two bead widths across, or a millimetre up."""
@@ -165,6 +169,7 @@ def test_a_print_beside_its_place(name: str) -> None:
         assert lost & {PART, INSIDE, FILLED, DRAWN, LEFT}, way
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_larger_print(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -172,6 +177,7 @@ def test_a_larger_print(name: str) -> None:
     assert failed(found(problem, toolpath, beads)) & {PART, INSIDE}
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_nozzle_that_leans_by_three_degrees(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -180,6 +186,7 @@ def test_a_nozzle_that_leans_by_three_degrees(name: str) -> None:
         assert NORMAL in failed(found(problem, toolpath, moved(toolpath, lambda p: p, lean.apply)))
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_layers_of_twice_the_height(name: str) -> None:
     height = "height_mm: 0.6" if "step" not in PRINTS[name] else f"height_mm: {2 if name == 'faces' else 1}"
@@ -188,6 +195,7 @@ def test_layers_of_twice_the_height(name: str) -> None:
     assert judged_as(name, twice) & {PART, FILLED, LEFT}
 
 
+@pytest.mark.slow(keep=FEW)
 @pytest.mark.parametrize("name", PRINTS)
 def test_lost_layers_and_beads(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -213,6 +221,7 @@ def test_lost_layers_and_beads(name: str) -> None:
         assert failed(found(problem, toolpath, fewer, body)) & lost
 
 
+@pytest.mark.slow(keep=("faces-[top]-[1]",))
 @pytest.mark.parametrize(
     ("name", "key", "other"),
     [
