@@ -5,7 +5,7 @@ bead's width, so dense that their tops are flat, each from the instant at which 
 turned about its axis. Where it touches a bead beside it, the distance is 0; where it is lower, the bead is pressed flat, by
 the depth that is told. What the nozzle has just laid, and its face is still shaping, does not count.
 
-All is in the part frame, in metres; n counts samples, m balls.
+All is in the part frame, in metres; n counts samples, m rows of balls.
 """
 
 from __future__ import annotations
@@ -29,19 +29,22 @@ _MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys i
 LIMIT = 0.5  # of a bead's height, by which the nozzle may press into it: the rest still lies where it was laid
 
 
-class LaidBalls(NamedTuple):
-    """What is laid: balls (m) in the order of their cells' keys, cells (c) of a grid.
+class LaidRows(NamedTuple):
+    """What is laid: rows (m) of balls across beads, in the order of their cells' keys, cells (c) of a grid.
 
-    centre (m, 3), radius (m) [m]    of the balls
+    centre (m, 3), half (m, 3) [m]   middle of each row, and the way from there to its last ball
+    radius (m) [m], across (m)       of the balls of each row, and their number
     when (m)                         sample, and share of the way to the next, at which the tip passes
     bead (m)                         which bead they are of
-    first (c + 1), key (c), since (c)   first ball of each cell, its key, and the first time in it
+    first (c + 1), key (c), since (c)   first row of each cell, its key, and the first time in it
     table (2^k)                      cell by its key: open addressing, -1 where there is none
     low (3), wide (3), size          corner of the grid [m], cells along its sides, and a cell's side [m]
     """
 
     centre: Array
+    half: Array
     radius: Array
+    across: Ints
     when: Array
     bead: Ints
     first: Ints
@@ -82,14 +85,13 @@ def deepest(judged: Judged) -> Pressed:
     t, motion = judged.trajectory, judged.motion
     laid = laid_beads(judged)
     reach = float(profile[0, 1] + (laid.width + laid.height).max())
-    balls = _balls(laid, reach / _CELLS)
+    rows = _rows(laid, reach / _CELLS)
     looks = _looks(motion.tip, motion.axis, _OFTEN * float(laid.height.min()), reach)
     shaped = float(profile[0, 1] + laid.width.max())
-    depth, at, ball = _deepest(balls, motion.tip, motion.axis, t.bead, looks, profile, reach, shaped)
-    if ball < 0:
+    depth, at, row, away = _deepest(rows, motion.tip, motion.axis, t.bead, looks, profile, reach, shaped)
+    if row < 0:
         return Pressed()
-    away = float(np.linalg.norm(balls.centre[ball] - motion.tip[at]))
-    return Pressed(float(depth), int(at), int(balls.bead[ball]), away)
+    return Pressed(float(depth), int(at), int(rows.bead[row]), float(away))
 
 
 class Laid(NamedTuple):
@@ -128,8 +130,8 @@ def laid_beads(judged: Judged) -> Laid:
     return Laid(tip, normal / np.linalg.norm(normal, axis=1)[:, None], width, height, bead, sample)
 
 
-def _balls(laid: Laid, size: float) -> LaidBalls:
-    """The balls of what is laid, in a grid whose cells have this size [m]."""
+def _rows(laid: Laid, size: float) -> LaidRows:
+    """The rows of balls of what is laid, in a grid whose cells have this size [m]."""
     tip, normal, width, height, bead, sample = laid
     same = np.diff(bead) == 0
     apart = _APART * np.minimum(width, height)[1:]
@@ -154,15 +156,23 @@ def _balls(laid: Laid, size: float) -> LaidBalls:
     radius = 0.5 * np.minimum(w, h)
     room = 0.5 * w - radius
     across = np.ceil(room / (_APART * radius) - 1e-6).astype(np.int64) + 1
-    row, which = np.repeat(np.arange(len(at)), across), np.arange(across.sum())
-    which = which - np.repeat(np.cumsum(across) - across, across)
-    off = np.where(across[row] > 1, 2.0 * which / np.maximum(across[row] - 1, 1) - 1.0, 0.0) * room[row]
-    centre = (there(tip) - radius[:, None] * up)[row] + off[:, None] * side[row]
-    return _in_cells(centre, radius[row], there(sample)[row], bead[starts][of][row], size)
+    half = np.where(across > 1, room, 0.0)[:, None] * side
+    balls = Balls(there(tip) - radius[:, None] * up, half, radius, across)
+    return _in_cells(balls, there(sample), bead[starts][of], size)
 
 
-def _in_cells(centre: Array, radius: Array, when: Array, bead: Ints, size: float) -> LaidBalls:
-    """Balls in the cells of a grid."""
+class Balls(NamedTuple):
+    """Of rows (m), as `LaidRows` has them."""
+
+    centre: Array
+    half: Array
+    radius: Array
+    across: Ints
+
+
+def _in_cells(balls: Balls, when: Array, bead: Ints, size: float) -> LaidRows:
+    """Rows of balls in the cells of a grid, each in that of its middle."""
+    centre = balls.centre
     low = centre.min(axis=0)
     cell = np.floor((centre - low) / size).astype(np.int64)
     wide = cell.max(axis=0) + 1
@@ -172,8 +182,9 @@ def _in_cells(centre: Array, radius: Array, when: Array, bead: Ints, size: float
     since = np.minimum.reduceat(when[order], first)
     bits = max(4, int(np.ceil(np.log2(4.0 * len(keys)))))
     table = _table(keys, bits)
-    return LaidBalls(
-        centre[order], radius[order], when[order], bead[order], np.append(first, len(order)), keys, since,
+    return LaidRows(
+        centre[order], balls.half[order], balls.radius[order], balls.across[order], when[order], bead[order],
+        np.append(first, len(order)), keys, since,
         table, low, wide, size,
     )  # fmt: skip
 
@@ -231,28 +242,32 @@ def outline_distance(profile, r, z):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _deepest(balls, tip, axis, bead, looks, profile, reach, shaped):
-    """The greatest overlap [m] of the nozzle with balls laid before, its sample and ball, or -1.
+def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
+    """The greatest overlap [m] of the nozzle with balls laid before, its sample and row, or -1, and how far the ball is from
+    the tip [m].
 
     Only balls within `reach` [m] of the tip are looked at, and of the bead that is being laid none that was laid on the last
     `shaped` [m] of its way.
     """
-    centre, radius, when, whose = balls.centre, balls.radius, balls.when, balls.bead
+    centre, half, radius, across, when, whose = rows.centre, rows.half, rows.radius, rows.across, rows.when, rows.bead
     first, since, key, table, low, wide, size = (
-        balls.first, balls.since, balls.key, balls.table, balls.low, balls.wide, balls.size,
+        rows.first, rows.since, rows.key, rows.table, rows.low, rows.wide, rows.size,
     )  # fmt: skip
     last, bits = len(table) - 1, 0
     while (1 << bits) < len(table):
         bits += 1
-    thickest = radius.max()
-    span = 0.5 * np.sqrt(3.0) * size + thickest
-    best, where, which = 0.0, _ZERO - 1, _ZERO - 1
+    thickest, widest = radius.max(), 0.0
+    for i in range(len(half)):
+        widest = max(widest, half[i, 0] ** 2 + half[i, 1] ** 2 + half[i, 2] ** 2)
+    widest = np.sqrt(widest)
+    span = 0.5 * np.sqrt(3.0) * size + thickest + widest
+    best, where, which, apart = 0.0, _ZERO - 1, _ZERO - 1, 0.0
     from_, to = np.empty(3, np.int64), np.empty(3, np.int64)
     for j in looks:
         p, a = tip[j], axis[j]
         for x in range(3):
-            from_[x] = max(0, int(np.floor((p[x] - reach - low[x]) / size)))
-            to[x] = min(wide[x] - 1, int(np.floor((p[x] + reach - low[x]) / size)))
+            from_[x] = max(0, int(np.floor((p[x] - reach - widest - low[x]) / size)))
+            to[x] = min(wide[x] - 1, int(np.floor((p[x] + reach + widest - low[x]) / size)))
         for cx in range(from_[0], to[0] + 1):
             for cy in range(from_[1], to[1] + 1):
                 for cz in range(from_[2], to[2] + 1):
@@ -275,17 +290,24 @@ def _deepest(balls, tip, axis, bead, looks, profile, reach, shaped):
                     for i in range(first[c], first[c + 1]):
                         if when[i] >= j:
                             continue
-                        vx, vy, vz = centre[i, 0] - p[0], centre[i, 1] - p[1], centre[i, 2] - p[2]
-                        z = -(vx * a[0] + vy * a[1] + vz * a[2])
-                        if z < best - radius[i]:
-                            continue
-                        away = vx * vx + vy * vy + vz * vz
-                        if away > (reach + radius[i]) ** 2:
-                            continue
-                        depth = radius[i] - outline_distance(profile, np.sqrt(max(away - z * z, 0.0)), z)
-                        if depth > best and not (whose[i] == bead[j] and _still_shaped(when[i], j, shaped, tip)):
-                            best, where, which = depth, j, i
-    return best, where, which
+                        hx, hy, hz = half[i, 0], half[i, 1], half[i, 2]
+                        mx, my, mz = centre[i, 0] - p[0], centre[i, 1] - p[1], centre[i, 2] - p[2]
+                        rise = abs(hx * a[0] + hy * a[1] + hz * a[2])
+                        if rise - (mx * a[0] + my * a[1] + mz * a[2]) < best - radius[i]:
+                            continue  # all of the row is beneath the nozzle's face
+                        for b in range(across[i]):
+                            off = 2.0 * b / (across[i] - 1) - 1.0 if across[i] > 1 else 0.0
+                            vx, vy, vz = mx + off * hx, my + off * hy, mz + off * hz
+                            z = -(vx * a[0] + vy * a[1] + vz * a[2])
+                            if z < best - radius[i]:
+                                continue
+                            away = vx * vx + vy * vy + vz * vz
+                            if away > (reach + radius[i]) ** 2:
+                                continue
+                            depth = radius[i] - outline_distance(profile, np.sqrt(max(away - z * z, 0.0)), z)
+                            if depth > best and not (whose[i] == bead[j] and _still_shaped(when[i], j, shaped, tip)):
+                                best, where, which, apart = depth, j, i, np.sqrt(away)
+    return best, where, which, apart
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
