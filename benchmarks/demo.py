@@ -5,9 +5,11 @@ python -m benchmarks.demo
 
 from __future__ import annotations
 
+import argparse
 import gzip
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from planner.demo.command import PROBLEM, SHIPPED
@@ -16,8 +18,9 @@ from planner.planning.pipeline import solve, write
 DT = 0.016  # s between samples: enough for a picture, and small in the package
 
 
-def main() -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Plan the problem, and pack its report; 1 if it is not verified."""
+    argparse.ArgumentParser(prog="python -m benchmarks.demo", description=__doc__).parse_args(arguments)
     plan = solve(PROBLEM, dt=DT)
     if not plan.verified:
         print(f"{PROBLEM} is not verified: {SHIPPED} is as it was", file=sys.stderr)

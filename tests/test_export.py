@@ -803,6 +803,7 @@ def test_json_is_strict_and_complete():
     data = json.loads(plan_json(make_plan()), parse_constant=refuse)
     assert set(data) == {
         *(
+            "advice",
             "problem",
             "resolved_by",
             "strategy",

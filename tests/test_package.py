@@ -89,7 +89,7 @@ def test_an_installed_package_finds_its_examples_and_robots(
         (["--help"], 0, "simulate"),
         (["--version"], 0, "beadwise "),
         (["slove"], 2, "did you mean solve?"),
-        (["xyzzy"], 2, "commands: solve, check"),
+        (["xyzzy"], 2, "commands: demo, solve, check"),
     ],
 )
 def test_beadwise(

@@ -216,7 +216,8 @@ def test_programs_are_read_back_and_played_and_the_report_draws_struts(tmp_path:
     files = {path.name: path.read_text(encoding="utf-8") for path in (tmp_path / "out").glob("*.mod")}
     assert files and differences(plan, files) == []
     scene = plan_scene(plan, [])
-    assert scene["lines"]["round"] and scene["lines"]["width"] == pytest.approx(DIAMETER)
+    wide = scene["lines"]["wide"]
+    assert scene["lines"]["round"] and wide["low"] + wide["step"] * wide["steps"] == pytest.approx(DIAMETER)
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "lines.round" in page
     told = json.loads((tmp_path / "out" / "plan.json").read_text(encoding="utf-8"))

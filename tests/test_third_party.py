@@ -65,7 +65,7 @@ def test_programs_are_written_in_all_languages_that_can_say_them(tmp_path):
 def test_a_tool_that_is_missing_is_told_and_fails_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(command, "solve", lambda problem: small_plan())
     assert command.main(["peer_cap", "--python", str(tmp_path / "python"), "--out", str(tmp_path)]) == 3
-    assert "make third-party sets it up" in " ".join(capsys.readouterr().out.split())
+    assert "make third-party sets it up" in " ".join(capsys.readouterr().out.replace("│", " ").split())
     absent = replace(LINUXCNC, package="no-such-package-of-anybody")
     assert absent.answer(SYSTEM_PYTHON, Written("axes linuxcnc", (GOLDEN / "two_beads.ngc",))).accepted is None
 

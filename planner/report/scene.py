@@ -111,8 +111,9 @@ def _kept_samples(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
 def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Array) -> dict[str, Any]:
     """`wide` and `high` of the points that lie so far along beads (indices of them) [m]."""
     wide, high = np.full(len(bead), DEFAULT_WIDTH), np.full(len(bead), DEFAULT_HEIGHT)
-    for k in np.unique(bead):
-        mine, own = bead == k, beads[k]
+    order = np.argsort(bead, kind="stable")
+    for mine in np.split(order, np.flatnonzero(np.diff(bead[order])) + 1):
+        own = beads[bead[mine[0]]]
         if len(getattr(own, "width", ())):
             wide[mine] = np.interp(along[mine], own.s, own.width)
             high[mine] = np.interp(along[mine], own.s, own.height)
