@@ -62,6 +62,7 @@ def test_length_and_time_are_those_of_the_print() -> None:
     assert laid.share == pytest.approx(plan.metrics["at_speed_fraction"], abs=0.03)
 
 
+@pytest.mark.slow
 def test_advice_does_what_it_says() -> None:
     rows = applied(str(advised_file()), ())
     assert rows

@@ -143,6 +143,7 @@ def test_the_print_is_large_and_the_arm_is_in_view_at_first(small: Opened, stars
     assert seen_all < 1.0, "the middle of every link"
 
 
+@pytest.mark.slow
 def test_it_opens_playing_the_print_as_it_is_laid(browser: Browser, tmp_path: Path) -> None:
     write_report(make_plan(4_000), tmp_path / "r.html")
     context = browser.new_context(viewport={"width": 1366, "height": 768})
@@ -155,6 +156,7 @@ def test_it_opens_playing_the_print_as_it_is_laid(browser: Browser, tmp_path: Pa
     context.close()
 
 
+@pytest.mark.slow
 def test_what_is_not_chosen_is_a_ghost(stars: Opened) -> None:
     ghost = "() => report.scene.stage.beads.ghost.visible && report.scene.stage.beads.ghost.geometry.index.count"
     assert stars.page.evaluate(ghost) is False
@@ -167,6 +169,7 @@ def test_what_is_not_chosen_is_a_ghost(stars: Opened) -> None:
     assert stars.page.evaluate(ghost) is False
 
 
+@pytest.mark.slow
 def test_beads_are_as_wide_and_high_as_they_are(small: Opened) -> None:
     """Across the first point of a bead: 0.6 mm by 0.5 mm, below the tip."""
     corners = small.page.evaluate(
@@ -344,6 +347,7 @@ def test_charts_and_scene_share_one_time(stars: Opened) -> None:
     page.evaluate("() => scrollTo(0, 0)")
 
 
+@pytest.mark.slow
 def test_charts_run_over_the_length_laid_as_well(stars: Opened) -> None:
     page, plan = stars.page, make_plan(8_000)
     put(stars, "over", "length")
@@ -361,6 +365,7 @@ def test_charts_run_over_the_length_laid_as_well(stars: Opened) -> None:
     )
 
 
+@pytest.mark.slow
 def test_all_that_is_folded_fits_on_four_screens(small: Opened) -> None:
     small.page.evaluate("() => document.querySelectorAll('details').forEach((each, k) => { each.open = k === 0; })")
     assert small.page.evaluate("() => document.documentElement.scrollHeight") <= 4 * 768

@@ -112,7 +112,7 @@ def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Arra
     """`wide` and `high` of the points that lie so far along beads (indices of them) [m]."""
     wide, high = np.full(len(bead), DEFAULT_WIDTH), np.full(len(bead), DEFAULT_HEIGHT)
     order = np.argsort(bead, kind="stable")
-    for mine in np.split(order, np.flatnonzero(np.diff(bead[order])) + 1):
+    for mine in np.split(order, np.flatnonzero(np.diff(bead[order])) + 1) if len(bead) else ():
         own = beads[bead[mine[0]]]
         if len(getattr(own, "width", ())):
             wide[mine] = np.interp(along[mine], own.s, own.width)

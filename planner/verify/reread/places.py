@@ -107,10 +107,10 @@ class Asked:
     whole: float
 
 
-def filled(places: Places, asked: Mapping[int, Asked], may: float) -> Check:
+def filled(places: Places, asked: Mapping[int, Asked], may: float, corners: float = _CORNERS) -> Check:
     """The share of a layer that no bead comes near to, in the worst layer, or where a share may be missing, of all layers.
 
-    may: share of all of them that notes tell of
+    may: share of all of them that notes tell of; corners: share of a layer that rounded turns and narrow ends leave
     """
     printed = dict(by_number(places.layer))
     most = total = whole = 0.0
@@ -129,5 +129,5 @@ def filled(places: Places, asked: Mapping[int, Asked], may: float) -> Check:
             where = "layer {}, at {:.1f}, {:.1f}, {:.1f} mm".format(layer, *spot)
     if may > 0.0:
         most = total / max(whole, 1e-300)
-    limit = may + _CORNERS
+    limit = may + corners
     return Check(FILLED, most, limit, "of its area", most <= limit, where)

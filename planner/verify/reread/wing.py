@@ -39,6 +39,7 @@ _CLOSER = 3  # steps to the foot of a place; each comes some thirty times nearer
 _STATIONS = 17  # along the span, at which the outline of a layer is measured where it changes
 _PIECE = 3.3  # bead widths: where a layer is narrower it may be left out, as pieces shorter than three are
 _NEAR = 0.75  # distances of passes from a pass: half of it is as far as can be
+_NARROW = 0.008  # of a layer: sheets of a tapered wing end narrow at both sides
 _TURNED = np.radians(0.05)  # by which normals of two curves through the same points may differ
 _STRETCHED = 1.05  # by which passes may be farther apart in places
 _SLANTED = 1.35  # distances of passes from a pass where they meet edges at an angle
@@ -163,7 +164,7 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
     if spec.count is not None:
         last = int(which.max())  # layers that are hardly one may count or not
         wanted = [k for k in wanted if k <= last]
-    yield filled(replace(places, layer=which), {k: asked[k] for k in wanted}, 0.0)
+    yield filled(replace(places, layer=which), {k: asked[k] for k in wanted}, 0.0, _NARROW)
 
 
 def _layers(body: Wing) -> Iterator[WingLayer]:
