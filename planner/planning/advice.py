@@ -17,6 +17,7 @@ import numpy as np
 from planner.base.errors import InputError, Refusal
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.plan import Advice, Dip, Trajectory
+from planner.planning.candidates import SPEED_PRICE
 from planner.planning.context import PlanningContext
 from planner.problem import Problem
 from planner.resolve.joint_path import JointPath
@@ -24,6 +25,7 @@ from planner.resolve.ladder import ladder
 from planner.resolve.sqp import refine_paths
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
+from planner.verify.checks import SPEED_TOLERANCE
 
 SHARE = 0.08  # of the print's waypoints that each change is tried on, at most,
 LEAST = 400  # or so many, which take no time worth telling
@@ -31,11 +33,9 @@ SLOWER = 0.75  # of the commanded speed
 CORNER = 0.5  # of a bead's width: the widest corner tolerance
 LEAN = math.radians(5.0)
 WIDEST_CORNER = 1e-3  # m, whatever the bead's width
-AT_SPEED = 0.98  # of the commanded speed
-SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
 STEP = 4e-3  # s between the instants at which a timed bead is judged
 GAIN = 2e-3  # share of the length at speed, of the print, that is worth telling
-SAME = 1e-12
+_ROUNDING = 1e-12  # m, rad
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def recorded(trajectory: Trajectory, problem: Problem, beads: Sequence[int]) -> 
     """Some beads as a trajectory lays them."""
     t = trajectory
     speed = t.speed[t.deposit & np.isin(t.bead, list(beads))]
-    fast = speed >= AT_SPEED * problem.process.speed
+    fast = speed >= (1.0 - SPEED_TOLERANCE) * problem.process.speed
     return Laid(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
 
 
@@ -135,13 +135,12 @@ def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[i
 def changes(problem: Problem) -> Iterator[Changed]:
     """What a user could change, each by itself: corners rounder, the nozzle leaning, and a lower speed."""
     process = problem.process
-    widest = (
-        math.floor(min(CORNER * process.bead.width, WIDEST_CORNER) * 1e5 + SAME) * 1e-5
-    )  # hundredths of a millimetre
-    if widest > process.corner_tolerance + SAME:
+    # in hundredths of a millimetre, as one would write it
+    widest = math.floor(min(CORNER * process.bead.width, WIDEST_CORNER) * 1e5 + _ROUNDING) * 1e-5
+    if widest > process.corner_tolerance + _ROUNDING:
         changed = process.model_copy(update={"corner_tolerance": widest})
         yield _change(problem, "corner_tolerance", "process.corner_tolerance_mm", widest * 1e3, changed)
-    if process.cones.tilt + SAME < LEAN:
+    if process.cones.tilt + _ROUNDING < LEAN:
         changed = process.model_copy(update={"cones": process.cones.model_copy(update={"tilt": LEAN})})
         yield _change(problem, "lean", "process.cones.nozzle_normal_deg", math.degrees(LEAN), changed)
     speed = SLOWER * process.speed
@@ -191,5 +190,5 @@ def laid(timed: TimedPath, speed: float) -> Laid:
     t = np.append(np.arange(0.0, timed.duration, STEP), timed.duration)
     s = np.clip(timed.at(t)[1], low, high)
     step, dt = np.diff(s), np.diff(t)
-    fast = step >= AT_SPEED * speed * dt
+    fast = step >= (1.0 - SPEED_TOLERANCE) * speed * dt
     return Laid(float(step[fast].sum()), float(step.sum()), float(dt[step > 0.0].sum()))

@@ -5,11 +5,7 @@ Another process reads the file, because a damaged one may end its reader.
 
 from __future__ import annotations
 
-import io
-import json
-import os
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +18,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.budgets import STEP_BYTES
 from planner.base.errors import Complaint
 from planner.base.files import read_bytes
+from planner.base.isolated import ask
 from planner.problem.part import StepSpec
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 
@@ -103,9 +100,6 @@ def choose_faces(wanted: Wanted, known: Sequence[tuple[int, str]], what: str) ->
     return [number for number, _ in known if number in chosen]
 
 
-_ROOT = Path(__file__).resolve().parents[3]  # from where that is found, whatever the present folder
-
-
 class FacesRead(NamedTuple):
     """Faces of a file, and sentences about what of it was not read, or was changed."""
 
@@ -127,7 +121,6 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
     check_step(spec.file, where)
     request = {
         "file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3,
-        "parent": os.getpid(),
     }  # fmt: skip
     answer = _answer(request, name, where)
     if "reason" in answer:
@@ -181,24 +174,15 @@ def _answer(request: dict[str, Any], name: str, where: Complaint) -> dict[str, A
     damaged = where(
         f"{name} is damaged: Open CASCADE cannot read it", hint="repair it in a CAD program, and export it anew"
     )
-    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", _READER],
-            input=json.dumps(request).encode(),
-            capture_output=True,
-            timeout=LONGEST,
-            env={**os.environ, "PYTHONPATH": paths},
-            check=False,
-        )
+        answer = ask(_READER, request, LONGEST)
     except subprocess.TimeoutExpired:
         raise where(
             f"{name} takes more than {LONGEST} s to be read", hint="export the part without its details"
         ) from None
-    if done.returncode != 0:
+    if answer is None:
         raise damaged
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
-        return dict(arrays)
+    return answer
 
 
 def _face(answer: dict[str, Any], k: int, turn: Any, spec: StepSpec) -> Face:

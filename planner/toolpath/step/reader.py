@@ -5,8 +5,6 @@ It runs as a process of its own (`files.py`): a damaged file can end it at any p
 
 from __future__ import annotations
 
-import io
-import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +23,7 @@ from OCP.TopExp import TopExp_Explorer
 from OCP.TopoDS import TopoDS, TopoDS_Compound
 
 from planner.base.arrays import Array
-from planner.base.signals import end_with_parent
+from planner.base.isolated import answer
 from planner.toolpath.step.files import Damaged, choose_faces
 from planner.toolpath.step.shapes import REPAIR, all_faces, subshapes
 
@@ -222,20 +220,13 @@ def _flips(count: int, senses: dict[int, list[tuple[int, int]]]) -> list[int]:
     return flips
 
 
-def main() -> int:
-    """Answer a request, JSON on standard input (file, faces, apart_mm, sew_mm, parent: the number of the process that
-    asks, with which this one ends), with arrays as NPZ on standard output."""
-    request = json.load(sys.stdin)
-    end_with_parent(request["parent"])
+def answered(request: dict[str, Any]) -> dict[str, Any]:
+    """The answer to a request (file, faces, apart_mm, sew_mm), or why there is none."""
     try:
-        answer = read(request)
+        return read(request)
     except Damaged as error:
-        answer = {"reason": error.reason, "hint": error.hint or ""}
-    out = io.BytesIO()
-    np.savez(out, **answer)
-    sys.stdout.buffer.write(out.getvalue())
-    return 0
+        return {"reason": error.reason, "hint": error.hint or ""}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(answered))

@@ -73,10 +73,9 @@ def area_of(
     apart = max(pitch * width, float(np.sqrt(sizes[0] * sizes[1] / _MOST)))
     counts = [max(int(np.ceil(size / apart)), 2) for size in sizes]
     v, c = (np.linspace(0.0, 1.0, count + 1) for count in counts)
-    few = np.linspace(
-        0.0, 1.0, max(int(sizes[1] / (_COARSE * width)), 60) + 1
-    )  # it changes slowly from place to place,
-    few = np.unique(np.concatenate([few, np.linspace(0.0, _NOSE, 41), c[c <= _NOSE]]))  # but not around a nose
+    # the room changes slowly from place to place, but around a nose
+    few = np.linspace(0.0, 1.0, max(int(sizes[1] / (_COARSE * width)), 60) + 1)
+    few = np.unique(np.concatenate([few, np.linspace(0.0, _NOSE, 41), c[c <= _NOSE]]))
     coarse = np.stack([np.interp(c, few, room(few, np.full(len(few), at))) for at in stations])
     rooms = np.broadcast_to(coarse[0], (len(v), len(c))) if len(coarse) == 1 else _between(stations, coarse, v)
     if len(coarse) == 1:

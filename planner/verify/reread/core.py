@@ -31,7 +31,7 @@ from planner.verify.reread.places import (
     worst_of,
 )
 from planner.verify.reread.plane_curves import NotRead, read_again
-from planner.verify.reread.slopes import Heights, axis_along, few_of, normals_over, off_facets
+from planner.verify.reread.slopes import SEEN, Heights, axis_along, normals_over, off_facets
 
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _PIECE = 3.3  # bead widths: shorter pieces may be left out, as those shorter than three are
@@ -91,7 +91,7 @@ def core(judged: Judged, places: Places) -> Iterator[Check]:
         return
 
     off, lacks = np.empty(len(plane)), np.empty(len(plane))
-    some = few_of(places)
+    some = places.few(SEEN)
     few, normals = np.searchsorted(places.sample, some.sample), np.full((3, len(some.tip), 3), np.nan)
     off_by, steepest = off_facets(judged), 1.0
     for k, own in by_number(which):

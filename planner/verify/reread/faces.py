@@ -52,7 +52,7 @@ def faces(judged: Judged, places: Places) -> Iterator[Check]:
     if isinstance(found, NotRead):
         yield not_read(f"{part.step.file.name}: {found.why}")
         return
-    some = places.some(np.unique(np.linspace(0, len(places.tip) - 1, _MOST).astype(np.int64)))
+    some = places.few(_MOST)
     rise = (some.layer + 1.0) * layers.height
     along_z = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"
     tips = some.tip - rise[:, None] * [0.0, 0.0, 1.0] if along_z else some.tip

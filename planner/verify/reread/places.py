@@ -36,6 +36,10 @@ class Places:
         """Some of them."""
         return Places(*(values[which] for values in vars(self).values()))
 
+    def few(self, count: int) -> Places:
+        """So many of them at most, even over the print."""
+        return self.some(np.unique(np.linspace(0, len(self.tip) - 1, count).astype(np.int64)))
+
 
 def places_of(judged: Judged) -> Places:
     """Samples of beads, no nearer to each other than need be."""

@@ -117,15 +117,14 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
         most = np.degrees(judged.problem.process.cones.tilt + AXIS)
         yield worst_of(judged, places, NORMAL, np.degrees(lean), most, "deg")
     elif part.mesh is not None:
-        few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
-        height = rise[few]
+        some = places.few(_SEEN)
+        height = np.asarray((some.layer + 1.0) * layers.height, dtype=float)
         if along_z:
-            off = distances_from_facets(part.mesh, places.tip[few] - height[:, None] * [0.0, 0.0, 1.0])
+            off = distances_from_facets(part.mesh, some.tip - height[:, None] * [0.0, 0.0, 1.0])
         else:
-            off = np.abs(distances_from_facets(part.mesh, places.tip[few]) - height)
+            off = np.abs(distances_from_facets(part.mesh, some.tip) - height)
         bound = off_facets(judged) + OFF_LEVEL
         off = np.maximum(off - _BENT * height, 0.0)
-        some = places.some(few)
         yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
         if judged.toolpath.told.off > 0.0:
             return  # coarse or noisy facets were bent: their slopes are not the surface's
@@ -237,15 +236,14 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
 
 def _obstacles(judged: Judged, places: Places) -> Check:
     """What is kept clear of is where beads are laid, and where the part is beneath the lowest layer."""
-    few = np.unique(np.linspace(0, len(places.tip) - 1, _SEEN).astype(int))
-    some, beads, body = places.some(few), judged.toolpath.beads, judged.body
+    some, beads, body = places.few(_SEEN), judged.toolpath.beads, judged.body
     width, height = (
         np.array([float(getattr(b, name).max()) for b in beads])[some.bead] for name in ("width", "height")
     )
     thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
     number = np.array([_bead_of(name) for name in body.names])[thing]
     laid = number >= 0
-    off = np.full(len(few), np.inf)
+    off = np.full(len(some.tip), np.inf)
     if laid.any():
         apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # beads are 1 m apart from each other
         middle = some.tip - 0.5 * height[:, None] * some.up

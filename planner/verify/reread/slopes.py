@@ -29,11 +29,6 @@ def off_facets(judged: Judged) -> float:
     return max(judged.toolpath.told.off, _OFF)
 
 
-def few_of(places: Places) -> Places:
-    """Some places, even over the print."""
-    return places.some(np.unique(np.linspace(0, len(places.tip) - 1, SEEN).astype(np.int64)))
-
-
 def normals_over(heights: Heights, plane: Array) -> Array:
     """Upward unit normals (3, n, 3) at x, y (n, 2), over a short, a usual and a long way; NaN where that leaves the surface."""
     found = []

@@ -4,28 +4,23 @@ places on them by coal. Lengths are metres in the part frame.
 
 from __future__ import annotations
 
-import io
-import json
-import os
 import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import coal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints
+from planner.base.isolated import ask
 from planner.problem.part import StepSpec
 from planner.verify.reread.plane_curves import NotRead
 
 OFF = 2e-6  # m by which triangles may leave the faces
 _PROCESS = "planner.verify.reread.step_process"
 _LONGEST = 300  # s that a file may take
-_ROOT = Path(__file__).resolve().parents[3]  # from where that is found, whatever the present folder
 _MARK = 72  # column, from 0, of the S in an IGES file's first line
 _POINT = 1e-9  # m, radius of a ball that stands for a point
 
@@ -113,20 +108,14 @@ def _meshed(spec: StepSpec, faces: tuple[int | str, ...] | str, changed: int, si
     head = spec.file.read_bytes()[: _MARK + 8]
     request = {
         "file": str(spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
-        "faces": faces, "off_mm": OFF * 1e3, "parent": os.getpid(),
+        "faces": faces, "off_mm": OFF * 1e3,
     }  # fmt: skip
-    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     try:
-        done = subprocess.run(
-            [sys.executable, "-m", _PROCESS], input=json.dumps(request).encode(), capture_output=True, timeout=_LONGEST,
-            env={**os.environ, "PYTHONPATH": paths}, check=False,
-        )  # fmt: skip
+        answer = ask(_PROCESS, request, _LONGEST)
     except subprocess.TimeoutExpired:
         return NotRead(f"it takes more than {_LONGEST} s")
-    if done.returncode != 0:
+    if answer is None:
         return NotRead("Open CASCADE ends while it reads or meshes the file")
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
-        answer = dict(arrays)
     if "reason" in answer or not int(answer["faces"]):
         return NotRead(str(answer.get("reason", "it holds no such face")))
     return _placed(spec, answer)

@@ -5,8 +5,6 @@ It runs as a process of its own (`step_faces.py`): a damaged file can end it at 
 
 from __future__ import annotations
 
-import io
-import json
 import sys
 from typing import Any
 
@@ -26,7 +24,7 @@ from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS
 
 from planner.base.arrays import Array, Ints
-from planner.base.signals import end_with_parent
+from planner.base.isolated import answer
 
 _ANGLE = 0.05  # rad between triangles
 _SMALLEST = 1e-12  # mm^2 per parameter: where surfaces have no normal, as at poles
@@ -34,7 +32,7 @@ _WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts tha
 
 
 def triangles(request: dict[str, Any]) -> dict[str, Any]:
-    """Of face k that a request names (see `main`) `k.points` [mm], `k.normals` as the file has them, `k.corners`; `faces`, how
+    """Of face k that a request names (see `answered`) `k.points` [mm], `k.normals` as the file has them, `k.corners`; `faces`, how
     many; and `sure`, whether a body says which way each looks. `reason` instead where there are none."""
     for printer in list(Message.DefaultMessenger_s().Printers()):
         Message.DefaultMessenger_s().RemovePrinter(printer)
@@ -129,20 +127,13 @@ def _meshed(face: Any) -> tuple[Array, Array, Ints] | None:
     return points, normals, corners[:, ::-1] if flip < 0.0 else corners
 
 
-def main() -> int:
-    """Answer a request, JSON on standard input (file, iges, faces, off_mm: by how much triangles may leave faces, parent: the
-    number of the process that asks, with which this one ends), with arrays as NPZ on standard output."""
-    request = json.load(sys.stdin)
-    end_with_parent(request["parent"])
+def answered(request: dict[str, Any]) -> dict[str, Any]:
+    """The answer to a request (file, iges, faces, off_mm: by how much triangles may leave faces), or why there is none."""
     try:
-        answer = triangles(request)
+        return triangles(request)
     except Standard_Failure as error:
-        answer = {"reason": f"Open CASCADE: {error}"}
-    out = io.BytesIO()
-    np.savez(out, **answer)
-    sys.stdout.buffer.write(out.getvalue())
-    return 0
+        return {"reason": f"Open CASCADE: {error}"}
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(answer(answered))

@@ -31,7 +31,7 @@ from planner.verify.reread.places import (
     not_read,
     worst_of,
 )
-from planner.verify.reread.slopes import Heights, axis_along, few_of, normals_over, off_facets
+from planner.verify.reread.slopes import SEEN, Heights, axis_along, normals_over, off_facets
 
 _PITCH = 1.0 / 3.0  # bead widths between lines through the body
 _AROUND = 3.0  # bead widths beside the body that the lines reach
@@ -151,7 +151,7 @@ def _stack(spec: VolumeLayersSpec, body: Body, lower: Heights, upper: Heights, p
     there = ~np.isnan(body.lines.top()[0])
     gap = (upper(body.plane) - lower(body.plane))[there]
     most = float(np.nanmax(np.append(gap, 0.0)))
-    some = few_of(places)
+    some = places.few(SEEN)
     best, least = None, np.inf
     for hair in (-_UNSURE, _UNSURE):
         count = int(np.ceil(most / spec.height + hair))
@@ -175,7 +175,7 @@ def _off(stack: Stack, places: Places) -> tuple[Array, Array]:
 def _heights(judged: Judged, stack: Stack, places: Places) -> Iterator[Check]:
     """Layers are as high as they are to be, and the nozzle is normal to them."""
     off, unsure = _off(stack, places)
-    some = few_of(places)
+    some = places.few(SEEN)
     normals = np.full((3, len(some.tip), 3), np.nan)
     for k, own in by_number(some.layer):
         normals[:, own] = normals_over(stack.at(k + 1.0), some.tip[own, :2])

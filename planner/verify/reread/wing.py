@@ -152,9 +152,8 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
         within = MIDDLE * width - max(area.pitch) if spec.source.tip is None else 0.0
         beyond[own] = area.beyond(places.tip[own], within)
     limit = _WITHIN * max(max(found[k][1].pitch) for k in known) + process.corner_tolerance
-    if (
-        spec.source.tip is not None
-    ):  # outlines are taken as straight between stations, the planner's between nearer ones
+    if spec.source.tip is not None:
+        # outlines are taken as straight between stations, the planner's between nearer ones
         limit += MIDDLE * width
     yield worst_of(judged, places, INSIDE, beyond * 1e3, limit * 1e3, "mm")
     wanted = [k for k in known if len(asked[k].points)]

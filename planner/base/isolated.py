@@ -1,0 +1,52 @@
+"""Questions to a process of its own: what answers them may end at any place, without a word, as readers of damaged files do.
+
+A question is JSON on standard input, its answer arrays as NPZ on standard output. The one who asks calls `ask`, the module
+that is asked ends with `sys.exit(answer(function))`.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.signals import end_with_parent
+
+_ROOT = Path(__file__).resolve().parents[2]  # from where modules are found, whatever the present folder
+
+
+def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, Any] | None:
+    """What a module answers to a question, as arrays by their names; None where its process ends without an answer.
+
+    Raises subprocess.TimeoutExpired after `longest` [s]. The process ends with this one, however that ends.
+    """
+    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    done = subprocess.run(
+        [sys.executable, "-m", module],
+        input=json.dumps({**question, "parent": os.getpid()}).encode(),
+        capture_output=True,
+        timeout=longest,
+        env={**os.environ, "PYTHONPATH": paths},
+        check=False,
+    )
+    if done.returncode != 0:
+        return None
+    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
+def answer(function: Callable[[dict[str, Any]], Mapping[str, Any]]) -> int:
+    """Answer the question on standard input by a function of it; returns the exit code."""
+    question = json.load(sys.stdin)
+    end_with_parent(question.pop("parent"))
+    out = io.BytesIO()
+    np.savez(out, **function(question))
+    sys.stdout.buffer.write(out.getvalue())
+    return 0
