@@ -1,5 +1,6 @@
 // Time: the player below the scene, what it shows, and who wants to know.
 const LETTER_ROOM = 0.018;  // of the slider, for a letter
+const LONGEST_FRAME = 0.5;  // s that pass between two pictures at most: a page that nobody sees is not drawn, and stands still
 const WATCHED = 45;  // s that a print takes at most when it is played, if there is such a pace
 
 function makePlayer(stage, scene, places, told) {
@@ -64,7 +65,7 @@ function makePlayer(stage, scene, places, told) {
   };
   function step(now) {
     if (!player.playing) return;
-    player.seek(player.t + Math.max(now - before, 0) / 1000 * Number(speed.value));
+    player.seek(player.t + Math.min(Math.max(now - before, 0) / 1000, LONGEST_FRAME) * Number(speed.value));
     before = now;
     if (player.t >= end) player.play(false); else requestAnimationFrame(step);
   }
