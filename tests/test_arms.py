@@ -209,6 +209,7 @@ def test_every_solution_is_exact_and_the_posture_itself_is_one(name: str) -> Non
     assert inverse.out_of_reach(T, given(inverse, q)).max() == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NEARLY)
 def test_nearly_ideal_arms_are_solved_exactly_too(name: str) -> None:
     joints, inverse = arm(name)

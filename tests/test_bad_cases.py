@@ -184,6 +184,7 @@ def faults(cell: Cell, path: JointPath, dt: float = DT) -> list[str]:
     return [f"{name} {value:.4f}" for name, value in largest.items() if not value <= 1.0]
 
 
+@pytest.mark.slow
 def test_joint_paths_are_timed_within_limits(cell: Cell) -> None:
     tried, wrong = 0, {}
     for seed in range(220):
@@ -246,6 +247,7 @@ def test_bad_cases_all_the_way(kind: str, count: int, tmp_path: Path) -> None:
     assert not unverified
 
 
+@pytest.mark.slow
 def test_a_bead_that_ends_while_it_grows_faster(tmp_path: Path) -> None:
     """A spiral of a millimetre: what its last step lays down is more than any of its samples tells."""
     _, text, options = waypoint_case(1054)

@@ -75,6 +75,7 @@ def test_every_metric_and_every_stage_has_a_column() -> None:
         make_row(Run("peer_cap", "sqp"), seconds_thinking=1.0)
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_ended(
     whole: list[Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

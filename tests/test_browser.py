@@ -255,6 +255,7 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     page.locator("#card-close").click()
 
 
+@pytest.mark.slow
 def test_riding_with_the_part_holds_it_still(browser: Browser, tmp_path: Path) -> None:
     """With the published way of moving, whose table does all the turning."""
     write_report(solve(small_plan().problem, "as_published", baseline=False), tmp_path / "report.html")
@@ -268,6 +269,7 @@ def test_riding_with_the_part_holds_it_still(browser: Browser, tmp_path: Path) -
     np.testing.assert_allclose(rides, np.tile(np.eye(4).ravel(), (len(rides), 1)), rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_layers_values_and_dips_filter(stars: Opened) -> None:
     page, whole = stars.page, drawn(stars)
     put(stars, "colour", "speed")
@@ -291,6 +293,7 @@ def test_layers_values_and_dips_filter(stars: Opened) -> None:
     page.locator("#dips").check()
 
 
+@pytest.mark.slow
 def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
     page = stars.page
     page.locator("[data-view=print]").click()
@@ -393,6 +396,7 @@ def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path)
         assert np.reshape(page.evaluate("() => report.scene.stage.now.q"), -1) == pytest.approx(plan.cell.home)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_charts")
 def test_on_a_phone_nothing_overflows_and_a_failed_check_is_where_it_opens(browser: Browser, tmp_path: Path) -> None:
     plan = with_dips(make_plan(4_000, ok=False))
@@ -408,6 +412,7 @@ def test_on_a_phone_nothing_overflows_and_a_failed_check_is_where_it_opens(brows
         assert found.page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[at])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_charts")
 def test_without_webgl_the_page_says_so_and_its_charts_work(browser: Browser, tmp_path: Path) -> None:
     write_report(make_plan(4_000), tmp_path / "r.html")
@@ -417,6 +422,7 @@ def test_without_webgl_the_page_says_so_and_its_charts_work(browser: Browser, tm
         assert found.complaints == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("few_charts")
 def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Path) -> None:
     write_report(make_plan(4_000), tmp_path / "r.html")
@@ -448,6 +454,7 @@ def test_inside_another_page_it_tells_and_follows(browser: Browser, tmp_path: Pa
         assert state["camera"][:3] == pytest.approx([1, 1, 1], abs=1e-6) and len(str(state)) < 4_000
 
 
+@pytest.mark.slow
 def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -> None:
     write_failure_report(
         tmp_path / "f.html", problem=make_problem(), strategy="ladder", message="no", bead=2, point_mm=None, facts={},
@@ -464,6 +471,7 @@ def test_shapes_and_beads_alone_make_a_scene(browser: Browser, tmp_path: Path) -
         assert np.isfinite(eye).all(), "all other beads are none"
 
 
+@pytest.mark.slow
 def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(small: Opened) -> None:
     page, plan = small.page, small_plan()
     page.locator("#roll-map").scroll_into_view_if_needed()

@@ -76,6 +76,7 @@ def helix(folder: Path, turns: float) -> Problem:
     return load_problem(folder / "helix.yaml")
 
 
+@pytest.mark.slow
 def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
     """A joint would leave its range if the arm went round; the table has to turn."""
     problem = helix(tmp_path, 3.0)

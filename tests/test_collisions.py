@@ -108,6 +108,7 @@ def test_2_the_nozzle_and_a_hollow_fixture(tmp_path: Path, carrier: str) -> None
     assert {worst.a, worst.b} == {"nozzle", "trough"} and worst.distance < 1e-3
 
 
+@pytest.mark.slow
 def test_3_the_head_and_a_wall_of_the_part(tmp_path: Path) -> None:
     """The slender nozzle passes beside the wall, the tube above it does not."""
 

@@ -363,6 +363,7 @@ def test_joint_range_that_leaves_no_posture(run: Callable[..., Outcome], tmp_pat
         assert re.search(r"range.*joint_[123]|joint_[123].*range", message)
 
 
+@pytest.mark.slow
 def test_joints_too_slow_for_the_speed_slow_the_print_down(run: Callable[..., Outcome], tmp_path: Path) -> None:
     """Joints that crawl: every rung has postures, and none is reached in time from the one before."""
     crawl = ", ".join(f"joint_{j}: {{speed_deg_s: 2}}" for j in range(1, 7))
@@ -520,6 +521,7 @@ def environment(**more: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), **more}
 
 
+@pytest.mark.slow
 def test_same_input_same_bytes(tmp_path: Path) -> None:
     write_small(tmp_path)
     for seed in ("1", "2"):
@@ -652,6 +654,7 @@ def test_interruption_leaves_earlier_results(tmp_path: Path, place: str, number:
     nothing_came_of_it(tmp_path, place, number)
 
 
+@pytest.mark.slow
 def test_interruption_of_a_first_run_leaves_no_folder(tmp_path: Path) -> None:
     write_small(tmp_path)
     nothing_came_of_it(tmp_path, "when all is written aside")
@@ -667,6 +670,7 @@ def nothing_came_of_it(folder: Path, place: str, number: int = signal.SIGINT) ->
     assert contents(folder) == before
 
 
+@pytest.mark.slow(keep=("SIGTERM",))
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_interruption_while_files_change_places(tmp_path: Path, number: int) -> None:
     """All of the new files or all of the old ones, and a message that says which."""

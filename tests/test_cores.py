@@ -167,6 +167,7 @@ def test_heights_vary_within_their_bounds() -> None:
     assert min(float((bead.height / bead.normals[:, 2]).min()) for bead in thick.beads) >= 0.3e-3
 
 
+@pytest.mark.slow
 def test_short_pieces_are_left_out_and_counted() -> None:
     toolpath = core("aerofoil_core")
     assert min(bead.length for bead in toolpath.beads) >= 1.8e-3

@@ -96,6 +96,7 @@ def test_facets_are_followed_and_the_plan_verifies(tmp_path: Path) -> None:
     assert isinstance(surface, Substrate) and len(surface.facings) == len(plans["facets"].toolpath.beads)
 
 
+@pytest.mark.slow
 def test_points_do_not_depend_on_what_the_nozzle_is_normal_to(tmp_path: Path) -> None:
     smooth, facets = (build_toolpath(dome(tmp_path, f"layers.normals={name}")) for name in ("smooth", "facets"))
     for one, other in zip(smooth.beads, facets.beads, strict=True):
@@ -119,6 +120,7 @@ def test_mistakes_are_told(changes: tuple[str, ...], field: str, said: str) -> N
     assert said in str(caught.value)
 
 
+@pytest.mark.slow
 def test_the_benchmark_tells_of_facets(capsys: pytest.CaptureFixture[str]) -> None:
     assert orientation(["--set", "layers.source.size_mm=[30, 30]"]) == 0
     told = capsys.readouterr().out

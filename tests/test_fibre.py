@@ -77,6 +77,7 @@ def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
     assert [event.kind for event in t.events].count("cut") == len(plan.toolpath.beads)
 
 
+@pytest.mark.slow(keep=("program1-fibre_bowl", "program1-fibre_plane", "program1-fibre_corrugated"))
 @pytest.mark.parametrize("name", FIBRES)
 @pytest.mark.parametrize("program", [(), PUBLISHED, ("program.chord_mm=0.1", "program.tangent_deg=3")])
 def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str, ...]) -> None:

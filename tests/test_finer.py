@@ -82,6 +82,7 @@ def test_other_beads_stay_as_they_are(toolpath: Toolpath) -> None:
     assert len(finer.beads[0].s) > len(twice.beads[0].s)
 
 
+@pytest.mark.slow
 def test_what_more_samples_do_not_help_stays(problem: Problem, toolpath: Toolpath) -> None:
     """A plan that is verified, and one that fails by something else as well."""
     given = context_of(problem, build_cell(problem), toolpath)
@@ -93,6 +94,7 @@ def test_what_more_samples_do_not_help_stays(problem: Problem, toolpath: Toolpat
     assert with_finer_samples(given, plan.trajectory, replace(report, checks=failed)) is None
 
 
+@pytest.mark.slow
 def test_more_samples_are_tried_while_they_help(
     problem: Problem, toolpath: Toolpath, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,6 +112,7 @@ def test_more_samples_are_tried_while_they_help(
     assert with_finer_samples(given, plan.trajectory, far) is None
 
 
+@pytest.mark.slow
 def test_the_rest_of_a_print_keeps_the_samples_of_the_whole(problem: Problem, tmp_path: Path) -> None:
     text = problem.layers.source.waypoints.read_text(encoding="utf-8")
     rows = np.loadtxt(text.splitlines())

@@ -135,6 +135,7 @@ def check(name: str, *changes: str) -> None:
     check_cones(problem, build_cell(problem), tasks_of(problem, toolpath))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", NARROW)
 def test_the_least_that_is_named_is_enough_and_less_is_not(which: str) -> None:
     name, changes, cones = NARROW[which]

@@ -168,6 +168,7 @@ def test_ctrl_c(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[s
     ]
 
 
+@pytest.mark.slow
 def test_ctrl_c_before_the_program_listens(
     files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -386,6 +387,7 @@ def test_a_program_in_modules(files: Path) -> None:
         robot.program_files(files)
 
 
+@pytest.mark.slow
 def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Writer, link, simulated controller with our reader, simulated board: each knows only the wire."""
     texts = rapid_files(socket_plan())

@@ -417,6 +417,7 @@ def dripping(seconds: float) -> Iterator[Address]:
         listener.shutdown(socket.SHUT_RDWR)
 
 
+@pytest.mark.slow(keep=("2-https",))
 @pytest.mark.parametrize(("version", "scheme"), [(1, "http"), (2, "http"), (2, "https")])
 def test_a_controller_that_only_drips_holds_no_stop(version: int, scheme: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Every answer of every session, in the header and in the handshake, too: stopping ends, and says that it failed."""

@@ -160,6 +160,7 @@ def test_noise_is_smoothed_within_the_bound(noise: float, radius: float, seed: i
         assert angle.max() <= 1.0 + 2.5e4 * noise  # degrees, at the ends of lines; facets are off by four times as much
 
 
+@pytest.mark.slow
 def test_noise_is_told() -> None:
     body = top_of(ball(0.05, 5, 0.2e-3), lines(0.02))
     assert body.why == "noisy" and "since facets are noisy" in body.words and "keeps to the facets" in body.words

@@ -271,6 +271,7 @@ def test_a_window_moves_its_own_control_values(cell: Cell, path: JointPath) -> N
     assert state.price - again.price == pytest.approx(piece.before.price - piece.state.price, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_long_beads_are_refined_in_windows(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sqp_module, "WINDOW", 16)
     monkeypatch.setattr(sqp_module, "OVERLAP", 4)

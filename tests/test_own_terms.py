@@ -69,6 +69,7 @@ def test_joint_5_stays_farther_from_0() -> None:
     assert after.mean() > before.mean() + 0.1
 
 
+@pytest.mark.slow
 def test_the_rail_is_slower() -> None:
     given, paths = start("rail_panel", beads=5)
     term = on_the_page("KeepSlow")("rail", speed=0.08, cost=0.5)
@@ -177,6 +178,7 @@ def test_terms_that_nothing_would_ask_are_refused() -> None:
         solve("peer_cap", terms=[term, 3])  # type: ignore[list-item]
 
 
+@pytest.mark.slow
 def test_a_plan_names_the_terms_that_it_was_made_with() -> None:
     term = on_the_page("KeepAway")("joint_5", 1.5, 5.0)
     plan = solve("peer_cap", terms=[term], baseline=False)

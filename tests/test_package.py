@@ -141,6 +141,7 @@ def test_kernels_compile_without_a_cache(monkeypatch: pytest.MonkeyPatch, capsys
     assert "set NUMBA_CACHE_DIR" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_is_compiled_is_counted_and_told(tmp_path: Path) -> None:
     """With an empty cache a kernel is told of once, and counted when it is done; with a full one nothing is."""
     code = """

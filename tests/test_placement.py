@@ -170,6 +170,7 @@ def test_score_is_what_its_way_has(bed: Problem, bed_tasks: tuple[NozzleTask, ..
     assert np.abs(looked_at.demand.tip - rating.place).sum(axis=1).min() == 0.0
 
 
+@pytest.mark.slow
 def test_floor_changes_nothing_above_it(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
     cell, looked_at = build_cell(bed), course(bed, bed_tasks)
     whole = score(cell, looked_at, 0.05)

@@ -207,6 +207,7 @@ def test_every_kind_of_cell_prints_a_verified_wave(folder: Path, name: str) -> N
     assert ("wrist_margin_deg" in plan.metrics) == (len(plan.cell.arm) == 6)
 
 
+@pytest.mark.slow(keep=("two",))
 @pytest.mark.parametrize("name", ["one", "two", "arm_held", "arm_some", "arm_all"])
 def test_external_axes_read_back_from_rapid(folder: Path, name: str) -> None:
     plan = plan_of(folder, name)
@@ -296,6 +297,7 @@ def lean_of(plan: Plan) -> float:
 # Arms that are not ABB's
 
 
+@pytest.mark.slow(keep=("panda",))
 @pytest.mark.parametrize("arm", OTHERS)
 def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
     folder: Path, tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]

@@ -120,6 +120,7 @@ def test_no_strategy_is_refused_on_a_logo(logo: str, other: str) -> None:
     assert solved(logo, other).metrics["beads"] == solved(logo, "ladder").metrics["beads"]
 
 
+@pytest.mark.slow
 def test_ladder_keeps_at_least_the_singularity_margin_of_fixed(logo: str) -> None:
     assert solved(logo, "ladder").metrics["sigma_min"] >= solved(logo, "fixed").metrics["sigma_min"]
 

@@ -424,6 +424,7 @@ def hanging(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return solve_alone(load_problem(folder / "ribs.yaml"))
 
 
+@pytest.mark.slow
 def test_a_print_under_a_gantry_is_verified(hanging: Plan) -> None:
     promises_kept(hanging)
     assert hanging.joint_names[:2] == ("gantry_x", "gantry_y")
@@ -490,6 +491,7 @@ def slid(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return solve_alone(load_problem(folder / "slide.yaml"))
 
 
+@pytest.mark.slow
 def test_a_print_on_a_table_that_slides_is_verified(slid: Plan) -> None:
     promises_kept(slid)
     assert slid.joint_names[-1] == "rail" and slid.cell.limits.sliding == (6,)

@@ -139,6 +139,7 @@ def test_a_bed_is_moved_and_turned(tmp_path: Path) -> None:
     assert set(changes) == {"cell.bed_mm", "cell.bed_rpy_deg"}
 
 
+@pytest.mark.slow
 def test_noise_is_told_as_it_is(tmp_path: Path) -> None:
     """Over many parts the errors are as large as the standard errors that are told with them."""
     here, points_q = scene("hemisphere_honeycomb"), chosen("hemisphere_honeycomb", 10)
@@ -622,6 +623,7 @@ def test_the_command_writes_a_problem_whose_surface_goes_through_the_contacts(tm
     assert target.read_bytes() == before
 
 
+@pytest.mark.slow
 def test_the_command_tells_when_the_tolerance_may_be_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     here = scene("cylinder_logo")

@@ -311,6 +311,7 @@ def test_naca_sections_are_those_of_the_planner(digits: str) -> None:
         assert theirs.lower.distance(mine.lower[0]).max() < 1e-5
 
 
+@pytest.mark.slow(keep=("turned facets",))
 @pytest.mark.parametrize("shape", ["ball", "two balls", "turned facets", "ring"])
 def test_lines_through_a_body_tell_its_inside(shape: str) -> None:
     """Against trimesh's own test of what a body holds; bodies that overlap are one, and facets may face the wrong way."""

@@ -422,6 +422,7 @@ def winds_within(along: Array, low: float, high: float) -> bool:
     return bool(angles.max() + turns <= high)
 
 
+@pytest.mark.slow(keep=("counted2",))
 @pytest.mark.parametrize("counted", [(5,), (4, 5), (6,), (5, 6)])
 def test_counted_turns_against_brute_force(counted: tuple[int, ...]) -> None:
     """Of all ways whose joints stay within their ranges along every bead, however they are turned, the cheapest one."""

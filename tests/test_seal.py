@@ -157,6 +157,7 @@ def test_a_change_where_the_array_stands_is_seen() -> None:
     assert changed_since(other) == ("trajectory",)
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_was_judged_is_not_carried_over(tmp_path: Path) -> None:
     plan = solve(write_small(tmp_path), tolerance="0.1mm", baseline=False)
     assert plan.headroom is not None and changed_since(plan) == ()

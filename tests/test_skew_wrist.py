@@ -175,6 +175,7 @@ def test_a_postures_number_is_its_index(name: str) -> None:
     np.testing.assert_array_equal(exists, ok[0])
 
 
+@pytest.mark.slow(keep=("Yaskawa HC10",))
 @pytest.mark.parametrize("name", ARMS)
 def test_a_number_seldom_changes_clear_of_singularities(name: str) -> None:
     """Along random smooth ways of 100 steps without a singularity; where it changes, it is where the arm is stretched, its

@@ -135,6 +135,7 @@ def lines_of(program: RobotProgram) -> list[str]:
     return [text for move in sorted(program.sends) for text in program.sends[move]]
 
 
+@pytest.mark.slow
 def test_lines_go_to_the_board_with_the_moves() -> None:
     numbered, plain, why = streamed()
     assert numbered == lines_of(with_lines()) and why == "finished" and "M106 P0 S0" not in plain

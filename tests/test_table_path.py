@@ -128,6 +128,7 @@ def leans(cell: Cell, task: NozzleTask, spacing: float) -> NDArray[np.float64]:
     return np.degrees(np.arccos((up * task.normals[demand.rung]).sum(axis=1)))
 
 
+@pytest.mark.slow
 def test_layer_stays_upright_and_no_turn_is_counted_twice() -> None:
     cell, task = two_axes(), ring(np.radians(25.0), Cones(layer_gravity=np.radians(8.0)))
     assert leans(cell, task, 2e-3).max() < 8.0

@@ -140,6 +140,7 @@ def test_a_refusal_of_a_solve_names_a_lean_with_which_it_is_verified(tmp_path: P
     assert solve(again, baseline=False).verified
 
 
+@pytest.mark.slow
 def test_normals_that_point_down_may_be_meant_the_other_way(tmp_path: Path) -> None:
     problem = problem_of(tmp_path, "layers.source.normals=inward")
     with pytest.raises(Refusal) as caught:

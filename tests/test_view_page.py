@@ -128,6 +128,7 @@ def opened(tmp_path: Path) -> Iterator[Opened]:
             view.send_signal(signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_the_address_is_exchanged_for_a_cookie(opened: Opened) -> None:
     """The page's own address lets nobody else in, scripts do not see the cookie, and Back does not lead to the word."""
     page = opened.page

@@ -541,3 +541,9 @@ def one_sided() -> Array:
     one, other = np.round(rims, 9)
     a, b, c, d = one[:-1], one[1:], other[1:], other[:-1]
     return np.concatenate([np.stack(each, axis=1) for each in ((a, b, c), (a, c, d))])
+
+
+def test_a_top_that_is_steep_everywhere_is_refused(tmp_path: Path) -> None:
+    steep = block(lambda x, y: 50.0 + 8.0 * x)  # 83 degrees
+    with pytest.raises(InputError, match=r"no layer can lie on .* block\.stl: .* steeper than 80 deg"):
+        built(tmp_path, steep)

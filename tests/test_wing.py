@@ -299,6 +299,7 @@ def test_pieces_of_a_layer_are_laid_from_the_near_end_on(supported: Toolpath) ->
 # The solid
 
 
+@pytest.mark.slow
 def test_distance_from_the_solid_agrees_with_brute_force(toolpath: Toolpath) -> None:
     """Sign by polygons of the strips, size by the distance from a dense outline of their union."""
     rng = np.random.default_rng(5)

@@ -182,6 +182,7 @@ def test_beads_are_smooth_without_loops(toolpath: Toolpath) -> None:
         assert np.degrees(np.linalg.norm(np.diff(bead.normals, axis=0), axis=1)).max() < 4.0
 
 
+@pytest.mark.slow
 def test_passes_leave_no_gaps(toolpath: Toolpath) -> None:
     """Away from edges (2 bead widths) no place of a layer is farther than half a width and a twentieth from a pass."""
     looked = 0

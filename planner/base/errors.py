@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ EXIT_NOT_VERIFIED = 3
 EXIT_INTERRUPTED = 130
 
 Hints = tuple[str, ...]
+_UNPRINTABLE = re.compile("\0+")
 
 
 class PlannerError(Exception):
@@ -41,11 +43,11 @@ class InputError(PlannerError):
         hint: str | None = None,
         all: tuple[InputError, ...] = (),
     ) -> None:
-        self.reason, self.file, self.line, self.field, self.hint = reason, file, line, field, hint
+        self.reason, self.file, self.line, self.field, self.hint = printable(reason), file, line, field, hint
         self.all = all
         place = "" if file is None else str(file) + ("" if line is None else f":{line}") + ": "
         what = "" if field is None else f"{field}: "
-        super().__init__(place + what + reason + ("" if hint is None else f" ({hint})"))
+        super().__init__(place + what + self.reason + ("" if hint is None else f" ({hint})"))
 
 
 Complaint = Callable[..., InputError]  # reason, hint=None → the error with its place
@@ -136,6 +138,11 @@ class Refusal(PlannerError):
 
 class Blocked(Refusal):
     """A Refusal because something blocks every posture searched at a place."""
+
+
+def printable(text: str) -> str:
+    """A text with a ? for whatever of it a terminal would not print, as bytes of a damaged file that a reader quotes."""
+    return _UNPRINTABLE.sub("?", "".join(c if c.isprintable() or c == "\n" else "\0" for c in text))
 
 
 def nearest_name(name: str, names: Iterable[str]) -> str | None:

@@ -9,8 +9,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
+from types import FrameType
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
+_SOON = 0.02  # s
 
 
 @contextmanager
@@ -30,9 +33,26 @@ def ignored_interrupts(terminations: bool = False) -> Iterator[None]:
 
 
 def terminations_interrupt() -> None:
-    """From here on SIGTERM ends this process as Ctrl-C does: what is half-written goes, processes that it started end."""
-    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    """From here on SIGTERM ends this process as Ctrl-C does: what is half-written goes, processes that it started end.
+
+    What either leaves half closed goes without a traceback.
+    """
+    if threading.current_thread() is threading.main_thread():
+        for number, usual in ((signal.SIGTERM, signal.SIG_DFL), (signal.SIGINT, signal.default_int_handler)):
+            if signal.getsignal(number) is usual:
+                signal.signal(number, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    sys.unraisablehook = _half_closed
+    signal.default_int_handler(number, frame)
+
+
+def _half_closed(left: sys.UnraisableHookArgs) -> None:
+    """Say nothing of an object that was being closed when the interruption came. One that came in a finalizer, where
+    Python drops it, comes again."""
+    if isinstance(left.exc_value, KeyboardInterrupt):
+        threading.Timer(_SOON, partial(signal.raise_signal, signal.SIGINT)).start()
 
 
 def interrupts_answered() -> None:

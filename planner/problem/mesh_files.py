@@ -74,7 +74,8 @@ def read_corners(
     """
     data = read_bytes(path, LARGEST_FILE, where, _FEWER)
     kind = _kind(path, data)
-    mesh = _READERS[kind](path, data, where)
+    with np.errstate(invalid="ignore", over="ignore"):  # corners that are no numbers are refused below
+        mesh = _READERS[kind](path, data, where)
     name = path.name
     faces = np.asarray(mesh.faces).reshape(-1, 3)
     if len(faces) == 0:

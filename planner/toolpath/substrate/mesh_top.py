@@ -37,6 +37,7 @@ _SAMPLES = 240  # of the facets along that side
 _FARTHEST_NEAR = 5e-3  # m: facets larger than this are looked at no farther aside
 _ASIDE = 1e-3  # weight of the facets that no curve comes near, against those at a curve
 _STEEPEST = 0.17  # upward component of a facet's normal: steeper ones say nothing of the surface
+_TOO_STEEP = float(np.degrees(np.arccos(_STEEPEST)))  # deg from the horizontal
 _NEXT = 1e-3  # m: points of curves this near follow each other
 
 
@@ -49,6 +50,13 @@ class TooRoughMesh(ValueError):
     def __init__(self, gap: float, place: Array, gaps: Array) -> None:
         self.gap, self.place, self.gaps = gap, place, gaps
         super().__init__(f"the facets are {gap * 1e3:.3f} mm off any smooth surface")
+
+    def said(self, what: str) -> str:
+        """The reason in words; what: facets are those of it."""
+        x, y = self.place * 1e3
+        if not np.isfinite(self.gap):
+            return f"no layer can lie on {what}: around x {x:.1f}, y {y:.1f} mm all of it is steeper than {_TOO_STEEP:.0f} deg"
+        return f"the smooth surface through {what} is {self.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm"
 
     @property
     def words(self) -> str:
@@ -100,6 +108,8 @@ class MeshTop:
                 step, noisy = kept
                 told = "asked" if bound is not None and bound > FARTHEST_FROM_FACETS else "noisy" if noisy else why
                 return near.top(step, told, too_far)
+            if not steps:
+                continue
             least = min(steps, key=lambda step: step.gap)
             too_far = least.gap if why and least.gap > MOST_UNASKED else 0.0
             if closest is None or least.gap < closest.gap:
@@ -248,14 +258,14 @@ class _Near:
         return FacetTree.of(bent(chosen, normals)) if bulges(chosen, normals).max() > _COARSE else None
 
     def steps(self, target: FacetTree, part: Part | None) -> Iterator[_Step]:
-        """Surfaces through a target with ever more knots."""
+        """Surfaces through a target with ever more knots; none where all of it is too steep."""
         low, high = self.span
         side = float((high - low).max())
         z, found = target.top(self.curves)
         there = found >= 0  # between bent facets there may be cracks
         samples, weights = _samples(target, np.column_stack([self.curves, self.z]), low, high, self.reach, part)
         up, knots = self.facets.normals[self.found, 2], _COARSEST
-        while knots <= _FINEST:
+        while len(samples) and knots <= _FINEST:
             surface = fit(samples, weights, low, high, side / knots)
             points, normals = surface.at(self.curves)
             flat = np.minimum(normals[:, 2], up)

@@ -403,9 +403,8 @@ def smooth_top(
 
 
 def _too_rough(error: TooRoughMesh, where: Complaint, more: str = "") -> Exception:
-    x, y = error.place * 1e3
     return where(
-        f"the smooth surface through the facets is {error.gap * 1e3:.3f} mm off them at x {x:.1f}, y {y:.1f} mm",
+        error.said("the facets"),
         "there is an edge under the curves, or facets are too large: keep off the edge, or export a finer mesh"
         f"{error.words}{more}",
     )

@@ -126,9 +126,8 @@ def _smooth(
     try:
         return MeshTop.near(facets, plane, reach_beside(facets, plane, reach), bound=bound)
     except TooRoughMesh as error:
-        x, y = error.place * 1e3
         raise complain(
-            f"the smooth surface through the top of {name} is {error.gap * 1e3:.3f} mm off it at x {x:.1f}, y {y:.1f} mm",
+            error.said(f"the facets on top of {name}"),
             "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top"
             f"{error.words}",
         ) from None
