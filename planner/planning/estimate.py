@@ -16,9 +16,9 @@ from pathlib import Path
 from planner.problem import Problem
 from planner.toolpath.workload import Workload, fewer
 
-# seconds: what a run takes in any case, for each waypoint, sample and bead
-_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD = 0.9, 1.0e-4, 5.0e-5, 1.0e-2
-# bytes: the same, and for each ball that stands for the print as an obstacle
+# seconds: what a run takes in any case, for each waypoint, sample and bead, and for each ball that stands for the print
+_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 0.9, 7.5e-5, 5.0e-5, 1.0e-2, 3.2e-5
+# bytes: the same
 _BYTES, _WAYPOINT, _SAMPLE, _BALL = 470e6, 0.9e3, 0.6e3, 0.4e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
@@ -46,7 +46,11 @@ def estimate(work: Workload, speed: float, dt: float) -> Estimate:
     """What planning takes, about; speed [m/s] of the print, dt [s] between samples."""
     samples = (work.length / speed + _TRAVEL * work.beads + _AROUND) / dt
     return Estimate(
-        _SECONDS + _PER_WAYPOINT * work.waypoints + _PER_SAMPLE * samples + _PER_BEAD * work.beads,
+        _SECONDS
+        + _PER_WAYPOINT * work.waypoints
+        + _PER_SAMPLE * samples
+        + _PER_BEAD * work.beads
+        + _PER_BALL * work.balls,
         _BYTES + _WAYPOINT * work.waypoints + _SAMPLE * samples + _BALL * work.balls,
     )
 

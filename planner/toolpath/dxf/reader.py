@@ -35,6 +35,7 @@ _COARSE = 1e-3  # of the drawing's extent: chords by which it is measured at fir
 _SPANS = 8  # pieces of a spline between knots that are looked at
 _FLAT = 1e-9  # of the extent: heights that differ by less are one
 _STRAIGHT = 1e-6  # a smaller bulge (rise over half the chord) is none
+_FARTHEST = 1e12  # of the drawing's units: farther off, fractions of a drawing as large as a part are lost
 _SHOWN = 8  # names in a sentence
 
 LINES = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE", "HELIX")
@@ -287,8 +288,9 @@ def _flattened(found: _Found, chord: float, where: Complaint, spec: DxfSpec) -> 
             raise where(f"{name} of {spec.dxf.name} cannot be drawn: {error}", hint="draw it anew") from error
         if len(points) == 0:
             continue
-        if not np.isfinite(points).all():
-            raise where(f"{name} of {spec.dxf.name} has a coordinate that is no number", hint="draw it anew")
+        if not (np.abs(points) <= _FARTHEST).all():  # NaN is not
+            reason = f"{name} of {spec.dxf.name} has a coordinate that is no number, or greater than {_FARTHEST:g}"
+            raise where(reason, hint="draw it anew")
         room -= len(points)
         if room < 0:
             raise where(
