@@ -54,7 +54,8 @@ def _triangles(face: Face) -> np.ndarray:
     outer, *holes = face.loops
     area = shapely.make_valid(shapely.Polygon(outer, holes))
     low, high = np.array(area.bounds).reshape(2, 2)
-    u, v = (np.linspace(*ends, count + 1) for *ends, count in zip(low, high, _cells(face, low, high), strict=True))
+    cells = _cells(face, low, high)
+    u, v = (np.linspace(a, b, count + 1) for a, b, count in zip(low, high, cells, strict=True))
     cells = shapely.box(*(edge.ravel() for edge in (*np.meshgrid(u[:-1], v[:-1]), *np.meshgrid(u[1:], v[1:]))))
     pieces = shapely.intersection(cells, area)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(pieces))
