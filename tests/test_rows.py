@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from planner.toolpath.coverage import measures
 from planner.toolpath.coverage.measures import SurfaceLine
 from planner.toolpath.coverage.rows import REACH, TooSmallError, cover
-from planner.toolpath.coverage.sheet import Rim, Row, Stroke, inside, march, rows_at, sheet_of
+from planner.toolpath.coverage.sheet import Rim, Row, Stroke, fields_of, inside, march, rows_at, sheet_of
 from planner.toolpath.coverage.stitch import Joint, chosen_joints, evenly, possible_joints, row_chains, smooth
 
 SPACING, SPEED = 0.01, 0.04
@@ -156,6 +157,25 @@ def test_distance_is_that_along_the_surface() -> None:
     assert march(sheet.points, sheet.triangles, start) == pytest.approx(
         np.mod(u, 2 * np.pi * radius), rel=0.01, abs=1e-5
     )
+
+
+def test_triangles_without_area_spoil_no_distance() -> None:
+    """A net may have three points in a line along a straight rim."""
+    sheet = sheet_of([PLATE], 0.005)
+    a, b = sheet.triangles[:, 0], sheet.triangles[:, 1]
+    between = len(sheet.points) + np.arange(len(a))
+    flat = replace(
+        sheet,
+        points=np.vstack([sheet.points, 0.5 * (sheet.points[a] + sheet.points[b])]),
+        triangles=np.vstack([sheet.triangles, np.column_stack([a, b, between])]),
+        patch=np.tile(sheet.patch, 2),
+        corners=np.concatenate([sheet.corners, sheet.corners]),
+        material=np.tile(sheet.material, 2),
+    )
+    rim = Rim.of(sheet)
+    with np.errstate(all="raise"):
+        fields = fields_of(flat, rim, SPACING)
+    assert len(fields) == len(fields_of(sheet, rim, SPACING))
 
 
 def test_faces_are_sewn_and_holes_are_no_material() -> None:

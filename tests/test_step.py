@@ -32,10 +32,11 @@ from planner.problem import Problem, load_problem
 from planner.problem.part import StepSpec
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.step.body import SHELL, FaceBody
-from planner.toolpath.step.cover import smooth_regions
+from planner.toolpath.step.cover import _TURN, smooth_regions, spread
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TOLERANCE, sample_faces
 from planner.toolpath.step.splines import SplineSet, SplineSurface
+from planner.toolpath.step.top import faces_shape
 
 Array = NDArray[np.float64]
 
@@ -256,6 +257,34 @@ def test_layers_lie_on_the_true_faces(name: str, path: str) -> None:
         distance = toolpath.surface.signed_distance(bead.points)
         inside = body.rim_distance(back.face, back.points) > 3e-3
         assert np.abs(distance[inside] - rise).max() < 0.02 * problem.layers.height
+
+
+def test_turns_of_narrow_rows_are_kept() -> None:
+    """Rows 2 mm apart, joined by half circles."""
+    spacing, turn = 2e-3, np.linspace(-np.pi / 2, np.pi / 2, 40)
+    rows = []
+    for k in range(4):
+        side = 1.0 if k % 2 == 0 else -1.0
+        x, y = side * (0.01 + 0.5 * spacing * np.cos(turn)), spacing * (k + 0.5) + 0.5 * spacing * np.sin(turn)
+        rows.append(np.column_stack([x, y, np.zeros(len(turn))]))
+    points = np.vstack(rows)
+    kept = spread(points, _TURN * spacing)
+    fine = np.vstack(
+        [a + np.linspace(0.0, 1.0, 20)[:, None] * (b - a) for a, b in zip(kept[:-1], kept[1:], strict=True)]
+    )
+    assert cKDTree(fine).query(points)[0].max() < 0.05 * spacing
+
+
+@pytest.mark.slow
+def test_triangles_of_a_wide_bend_keep_to_the_face(tmp_path: Path) -> None:
+    radius = 300.0
+    tube = faces_of(written(tmp_path, BRepPrimAPI_MakeCylinder(radius, 50.0).Shape()))
+    side = [face for face in tube if abs(face.normals(face.loops[0][:1])[0, 2]) < 0.1]
+    shape = faces_shape(side)
+    inside = shape.vertices[shape.triangles].mean(axis=1)
+    halves = 0.5 * (shape.vertices[shape.triangles] + shape.vertices[np.roll(shape.triangles, -1, axis=1)])
+    for points in (inside, halves.reshape(-1, 3)):
+        assert np.abs(np.hypot(points[:, 0], points[:, 1]) - 1e-3 * radius).max() < 2e-3
 
 
 @pytest.mark.slow

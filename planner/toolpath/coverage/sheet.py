@@ -26,6 +26,7 @@ _LOOKS = 33  # lines of u and of v along which a face is measured
 
 _CORNER = np.radians(30.0)  # of an edge, within a spacing: there one side ends and the next begins
 _SIDES = 4  # the longest sides are tried as sources
+_FLAT = 1e-6  # height of a triangle, as a share of its sides, whose square is well above rounding
 _DIRECTIONS = 6  # and so many lines through the middle
 
 
@@ -472,8 +473,11 @@ def _at(points: Array, s: Array, where: float) -> Array:
 def _from_section(sheet: FaceMesh, height: Array) -> Array:
     """Signed distance along the net from the line where `height` (n,) is nought."""
     corners, values = sheet.points[sheet.triangles], height[sheet.triangles]
-    cut = (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
-    e, f = corners[cut, 1] - corners[cut, 0], corners[cut, 2] - corners[cut, 0]
+    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    longest = np.maximum((e * e).sum(axis=1), (f * f).sum(axis=1))
+    there = np.linalg.norm(np.cross(e, f), axis=1) > _FLAT * longest  # three points of a straight rim have no slope
+    cut = there & (values > 0.0).any(axis=1) & (values <= 0.0).any(axis=1)
+    e, f = e[cut], f[cut]
     de, df = values[cut, 1] - values[cut, 0], values[cut, 2] - values[cut, 0]
     ee, ef, ff = (np.einsum("ij,ij->i", x, y) for x, y in ((e, e), (e, f), (f, f)))
     slope = np.sqrt((de * de * ff - 2.0 * de * df * ef + df * df * ee) / (ee * ff - ef * ef))

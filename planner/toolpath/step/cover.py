@@ -35,6 +35,7 @@ from planner.toolpath.task import roll_zeros
 SMOOTH = np.radians(0.04)  # between normals along a shared edge: half of what the nozzle's axis may be off the normal
 
 _STEP = 2e-3  # m between the places on the faces that the curve is laid through
+_TURN = 0.2  # of the spacing, at most, is that step on rows: some eight in the half circle from one row to the next
 _FEWEST = 12  # steps of a curve
 _AHEAD = 0.25  # of a step between waypoints, by which a curve may leave the faces' rim
 
@@ -119,10 +120,10 @@ def pieces_on_faces(body: FaceBody, waypoints: Array) -> list[Array]:
     return out
 
 
-def spread(points: Array) -> Array:
-    """Fewer places (k, 3) on the smooth curve through places (n, 3) that lie close together."""
+def spread(points: Array, step: float) -> Array:
+    """Fewer places (k, 3), `step` [m] from each other, on the smooth curve through places (n, 3) that lie close together."""
     path, chord = calm_path(points)
-    return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / _STEP)), _FEWEST) + 1))[:, :3])
+    return np.asarray(path(np.linspace(0.0, chord[-1], max(int(np.ceil(chord[-1] / step)), _FEWEST) + 1))[:, :3])
 
 
 def curve_on_faces(body: FaceBody, points: Array, tolerance: float, apart: float, ends: float) -> FaceCurve:
@@ -252,7 +253,8 @@ def _lines(problem: Problem, spec: FaceLayersSpec, region: Sequence[Face], body:
     try:
         if source.path == "rows":
             strokes = cover(region, source.spacing, problem.process.speed)
-            return [spread(np.vstack([s.points, s.points[:1]]) if s.closed else s.points) for s in strokes]
+            step = min(_STEP, _TURN * source.spacing)
+            return [spread(np.vstack([s.points, s.points[:1]]) if s.closed else s.points, step) for s in strokes]
         samples = sample_faces(body, source.spacing)
         return pieces_on_faces(body, samples.points[ORDERS[source.path](samples)])
     except (TooMany, TooManySamplesError):

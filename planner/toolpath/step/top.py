@@ -16,7 +16,9 @@ from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Face
 from planner.toolpath.substrate.mesh_surface import HeightField, fit
 
-_CELLS = 10  # along either parameter of a face
+_CELLS, _MOST_CELLS = 10, 200  # along either parameter of a face
+_LINES, _LOOKS = 5, 41  # across a face either way, and places on each, where its bend is measured
+_SAG = 2e-3  # m that a cell may leave the face: from so far, bodies of triangles are brought back onto the surface
 
 CLOSE = 5e-7  # m: near enough to the faces; normals are then within some hundredths of a degree
 FARTHEST = 2e-5  # m, of the smooth surface from the faces at the curves
@@ -52,12 +54,28 @@ def _triangles(face: Face) -> np.ndarray:
     outer, *holes = face.loops
     area = shapely.make_valid(shapely.Polygon(outer, holes))
     low, high = np.array(area.bounds).reshape(2, 2)
-    u, v = (np.linspace(a, b, _CELLS + 1) for a, b in zip(low, high, strict=True))
+    cells = _cells(face, low, high)
+    u, v = (np.linspace(a, b, count + 1) for a, b, count in zip(low, high, cells, strict=True))
     cells = shapely.box(*(edge.ravel() for edge in (*np.meshgrid(u[:-1], v[:-1]), *np.meshgrid(u[1:], v[1:]))))
     pieces = shapely.intersection(cells, area)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(pieces))
     corners = shapely.get_coordinates(triangles[shapely.area(triangles) > 0.0]).reshape(-1, 4, 2)
     return corners[:, :3].reshape(-1, 2)
+
+
+def _cells(face: Face, low: Array, high: Array) -> list[int]:
+    """How many cells a face needs along u and along v, between the least and the greatest of both (2)."""
+    across, there = np.meshgrid(np.linspace(0.0, 1.0, _LINES), np.linspace(0.0, 1.0, _LOOKS), indexing="ij")
+    sags = []
+    for shares in ((there, across), (across, there)):
+        uv = low + np.stack(shares, axis=-1).reshape(-1, 2) * (high - low)
+        turns = np.diff(
+            face.points(uv).reshape(_LINES, _LOOKS, 3), 2, axis=1
+        )  # eight times what a piece leaves the face
+        sags.append(float(np.linalg.norm(turns, axis=2).max()) / 8.0 * ((_LOOKS - 1) / _CELLS) ** 2)
+    if sum(sags) <= _SAG:
+        return [_CELLS, _CELLS]
+    return [int(np.clip(np.ceil(_CELLS * np.sqrt(2.0 * sag / _SAG)), _CELLS, _MOST_CELLS)) for sag in sags]
 
 
 class NotSmooth(ValueError):
