@@ -137,6 +137,7 @@ DAMAGED = {
                     b"property float z\nend_header\n0 0 0\n", "holds no facets"),
     "no corner": ("part.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "damaged|no OBJ file"),
     "nothing": ("part.obj", b"v 0 0 0\n", "holds no facets"),
+    "one coordinate": ("part.obj", b"v 0\nv 1\nv 2\nf 1 2 3\n", "three coordinates|no OBJ file"),
     "cut off": ("part.ply", written(box(), "ply")[:-20], "damaged|no PLY file"),
     "no zip": ("part.3mf", b"PK\x03\x04 and nothing", "3MF"),
     "off": ("part.off", b"OFF\n3 1 0\n0 0 0\n1 0 0\n", "no OFF file"),

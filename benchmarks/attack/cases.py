@@ -96,6 +96,10 @@ def time_limit(seconds: float) -> Iterator[None]:
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
+    except SystemError as error:  # what Python makes of it when a compiled function returns just then
+        if isinstance(error.__cause__, TimeLimit):
+            raise TimeLimit from None
+        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)

@@ -82,13 +82,15 @@ def read_corners(
         raise where(f"{name} holds no facets")
     if len(faces) > MOST_FACETS:
         raise where(f"{name} has {len(faces)} facets", hint=_FEWER)
+    if np.shape(mesh.vertices)[1:] != (3,):
+        raise where(f"{name} is damaged: its corners are no points of three coordinates")
     if faces.min() < 0 or faces.max() >= len(mesh.vertices):
         raise where(f"{name} is damaged: a facet names a corner that is not there, of {len(mesh.vertices)}")
     mm = UNITS[unit or _unit(kind, data)] * scale
     corners = np.asarray(mesh.vertices, dtype=float)[faces] * mm
     if not (np.abs(corners) <= FARTHEST).all():  # NaN is not
         raise where(f"{name} has a corner that is no number, or farther than {FARTHEST / 1e3:g} m from the origin")
-    mesh.merge_vertices()
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)  # by their places alone
     corners = corners[_once(np.asarray(mesh.faces))]
     areas = with_area(corners)
     if len(areas) == 0:
