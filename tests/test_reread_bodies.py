@@ -136,7 +136,7 @@ def moved(
     return [replace(bead, points=by(bead.points), normals=normals(np.array(bead.normals))) for bead in toolpath.beads]
 
 
-@pytest.mark.slow(keep=tuple(name for name in PRINTS if name != "faces twice"))
+@pytest.mark.slow(keep=tuple(name for name in PRINTS if "faces" not in name))
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_true_print_passes_and_is_judged(name: str) -> None:
     findings = found(*print_of(name))

@@ -52,7 +52,7 @@ def _half_closed(left: sys.UnraisableHookArgs) -> None:
     """Say nothing of an object that was being closed when the interruption came. One that came in a finalizer, where
     Python drops it, comes again."""
     if isinstance(left.exc_value, KeyboardInterrupt):
-        threading.Timer(_SOON, partial(signal.raise_signal, signal.SIGINT)).start()
+        threading.Timer(_SOON, partial(signal.pthread_kill, threading.get_ident(), signal.SIGINT)).start()
 
 
 def interrupts_answered() -> None:

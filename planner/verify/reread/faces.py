@@ -26,12 +26,11 @@ from planner.verify.reread.places import (
     worst_of,
 )
 from planner.verify.reread.plane_curves import NotRead
-from planner.verify.reread.step_faces import OFF, MeshedFaces, meshed_faces
+from planner.verify.reread.step_faces import OFF, TURNED, MeshedFaces, meshed_faces
 
 _MOST = 20_000  # places of the print at which the nearest place of the faces is looked for
 _SMOOTH = 2e-5  # m that beads that are projected may lie off faces: a smooth surface crosses their seams
-_TURNED = np.radians(0.1)  # by which normals between corners of triangles are off those of a face
-_BENT = 50e-3  # m, radius by which faces may bend where a bead leaves their rims
+_FOLDED = 0.2  # of the way from a hollow to its centre: layers nearer to that fold, and are none
 _RIM = 0.25  # distances of lines, by which rounded corners may leave faces
 _SPACED = 0.25  # distances of lines between places that are to be covered
 _NEAR = {"rows": 0.75}  # distances of lines from one: half of it is as far as rows leave places; paths through samples
@@ -58,14 +57,18 @@ def faces(judged: Judged, places: Places) -> Iterator[Check]:
     tips = some.tip - rise[:, None] * [0.0, 0.0, 1.0] if along_z else some.tip
     at = found.nearest(tips)
     away = tips - at.points
-    normals = at.normals if along_z else at.normals * _sides(found, at.face, (away * at.normals).sum(axis=1))[:, None]
+    sides = np.ones(len(tips)) if along_z else _sides(found, at.face, (away * at.normals).sum(axis=1))
+    normals, bends = at.normals * sides[:, None], at.bends * sides[:, None]
     high = (away * normals).sum(axis=1)
     off = np.abs(high) if along_z else np.abs(high - rise)
     bound = OFF_LEVEL + OFF + (0.0 if covering else _SMOOTH)
     yield worst_of(judged, some, ON_PART, off * 1e3, bound * 1e3, "mm")
     lean = np.arccos(np.clip((normals * some.up).sum(axis=1), -1.0, 1.0))
     aside = np.linalg.norm(away - high[:, None] * normals, axis=1)
-    most = judged.problem.process.cones.tilt + AXIS + _TURNED + aside / _BENT
+    # a bead that leaves a rim leans on as the face bends there, more where a hollow's radius is less by the height above it
+    room = np.maximum(1.0 - bends * (0.0 if along_z else rise[:, None]), _FOLDED)
+    turned = aside * (np.abs(bends) / room).max(axis=1)
+    most = judged.problem.process.cones.tilt + AXIS + TURNED + turned
     yield beyond_limits(judged, some, NORMAL, np.degrees(lean), np.degrees(most), "deg")
     if isinstance(layers, FaceLayersSpec):
         limit = min(judged.problem.process.corner_tolerance, _RIM * layers.source.spacing) + OFF_LEVEL

@@ -19,6 +19,8 @@ from planner.problem.part import StepSpec
 from planner.verify.reread.plane_curves import NotRead
 
 OFF = 2e-6  # m by which triangles may leave the faces
+TURNED = np.radians(0.1)  # by which normals between corners of triangles may be off those of a face
+_HALF = 0.5  # of it are normals off halfway between corners: in between they may be off by more
 _PROCESS = "planner.verify.reread.step_process"
 _LONGEST = 300  # s that a file may take
 _MARK = 72  # column, from 0, of the S in an IGES file's first line
@@ -27,11 +29,12 @@ _POINT = 1e-9  # m, radius of a ball that stands for a point
 
 @dataclass(frozen=True)
 class FaceFeet:
-    """Nearest places (n) on faces: points and outward unit normals (n, 3), and the faces (n)."""
+    """Nearest places (n) on faces: points and outward unit normals (n, 3), the faces (n), and bends of those (n, 2) as `MeshedFaces`."""
 
     points: Array
     normals: Array
     face: Ints
+    bends: Array
 
 
 @dataclass(frozen=True)
@@ -39,12 +42,14 @@ class MeshedFaces:
     """Faces as triangles.
 
     corners, normals  (m, 3, 3) of the triangles [m]; unit normals as the file has them
+    bends             (m, 2) least and greatest principal curvature at a triangle's corners [1/m], above 0 where faces are hollow
     face              (m) that each is of
     sure              of each face whether a body says which way it looks
     """
 
     corners: Array
     normals: Array
+    bends: Array
     face: Ints
     sure: Sequence[bool]
     model: coal.BVHModelOBBRSS
@@ -63,7 +68,9 @@ class MeshedFaces:
         shares = np.stack([_area(foot, b, c), _area(a, foot, c), _area(a, b, foot)], axis=1)
         shares = shares / np.maximum(shares.sum(axis=1), 1e-300)[:, None]
         normals = (shares[:, :, None] * self.normals[triangle]).sum(axis=1)
-        return FaceFeet(foot, normals / np.linalg.norm(normals, axis=1)[:, None], self.face[triangle])
+        return FaceFeet(
+            foot, normals / np.linalg.norm(normals, axis=1)[:, None], self.face[triangle], self.bends[triangle]
+        )
 
     def spread(self, apart: float) -> tuple[Array, Array]:
         """Places (n, 3) all over the faces, up to `apart` [m] from each other, and the area (n) that each stands for."""
@@ -108,7 +115,7 @@ def _meshed(spec: StepSpec, faces: tuple[int | str, ...] | str, changed: int, si
     head = spec.file.read_bytes()[: _MARK + 8]
     request = {
         "file": str(spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
-        "faces": faces, "off_mm": OFF * 1e3,
+        "faces": faces, "off_mm": OFF * 1e3, "turned": _HALF * TURNED,
     }  # fmt: skip
     try:
         answer = ask(_PROCESS, request, _LONGEST)
@@ -125,7 +132,7 @@ def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
     """The faces in the part frame."""
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     flip = -1.0 if spec.normals == "inward" else 1.0
-    corners, normals, owner = [], [], []
+    corners, normals, bends, owner = [], [], [], []
     for k in range(int(answer["faces"])):
         of = answer[f"{k}.corners"]
         points = 1e-3 * answer[f"{k}.points"] @ turn.T + np.asarray(spec.origin)
@@ -136,8 +143,10 @@ def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
         at_corners = own[of]
         lost = np.isnan(at_corners).any(axis=2)  # at a pole there is only the triangle's
         at_corners[lost] = (flat / np.linalg.norm(flat, axis=1)[:, None])[np.nonzero(lost)[0]]
+        bent = flip * 1e3 * np.nan_to_num(answer[f"{k}.bends"])[of].reshape(len(of), -1)
         corners.append(points[of])
         normals.append(at_corners)
+        bends.append(np.column_stack([bent.min(axis=1), bent.max(axis=1)]))
         owner.append(np.full(len(of), k, dtype=np.int64))
     every = np.concatenate(corners)
     vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
@@ -149,4 +158,5 @@ def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
     model.beginModel(len(facets), len(vertices))
     model.addSubModel(vertices, facets)
     model.endModel()
-    return MeshedFaces(every, np.concatenate(normals), np.concatenate(owner), answer["sure"].tolist(), model)
+    sure = answer["sure"].tolist()
+    return MeshedFaces(every, np.concatenate(normals), np.concatenate(bends), np.concatenate(owner), sure, model)

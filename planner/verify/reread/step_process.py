@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from OCP.BRep import BRep_Tool
 from OCP.BRepAdaptor import BRepAdaptor_Surface
+from OCP.BRepLProp import BRepLProp_SLProps
 from OCP.BRepMesh import BRepMesh_IncrementalMesh
-from OCP.gp import gp_Pnt, gp_Vec
+from OCP.gp import gp_Pnt, gp_Pnt2d
 from OCP.IFSelect import IFSelect_ReturnStatus
 from OCP.IGESControl import IGESControl_Reader
 from OCP.Message import Message
+from OCP.ShapeAnalysis import ShapeAnalysis_Surface
 from OCP.Standard import Standard_Failure
 from OCP.STEPControl import STEPControl_Reader
 from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
@@ -28,12 +30,15 @@ from planner.base.isolated import answer
 
 _ANGLE = 0.05  # rad between triangles
 _SMALLEST = 1e-12  # mm^2 per parameter: where surfaces have no normal, as at poles
+_NEAR = 1e-6  # mm
+_CUTS = 3  # of a triangle, at most: a surface with an edge of its own would be cut without end
 _WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
 
 
 def triangles(request: dict[str, Any]) -> dict[str, Any]:
-    """Of face k that a request names (see `answered`) `k.points` [mm], `k.normals` as the file has them, `k.corners`; `faces`, how
-    many; and `sure`, whether a body says which way each looks. `reason` instead where there are none."""
+    """Of face k that a request names (see `answered`) `k.points` [mm], `k.normals` as the file has them, `k.bends` (n, 2) [1/mm],
+    its principal curvatures, above 0 where it is hollow, and `k.corners`; `faces`, how many; and `sure`, whether a body says which
+    way each looks. `reason` instead where there are none."""
     for printer in list(Message.DefaultMessenger_s().Printers()):
         Message.DefaultMessenger_s().RemovePrinter(printer)
     reader = IGESControl_Reader() if request["iges"] else STEPControl_Reader()
@@ -62,10 +67,10 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
     for face in chosen:
         BRepMesh_IncrementalMesh(face, request["off_mm"], False, _ANGLE, False)
         k = len(sure)
-        meshed = _meshed(face)
+        meshed = _meshed(face, request["off_mm"], request["turned"])
         if meshed is None:
             return {"reason": "a face cannot be meshed"}
-        out |= {f"{k}.points": meshed[0], f"{k}.normals": meshed[1], f"{k}.corners": meshed[2]}
+        out |= {f"{k}.{name}": values for name, values in meshed.items()}
         sure.append(any(face.IsSame(other) for other in inside))
     return out | {"faces": len(sure), "sure": np.array(sure, dtype=bool)}
 
@@ -104,31 +109,91 @@ def _name(entity: Any) -> str:
     return "" if text is None else str(text.ToCString()).strip()
 
 
-def _meshed(face: Any) -> tuple[Array, Array, Ints] | None:
-    """Corners of triangles: points (n, 3) [mm], normals (n, 3) out of the face; and triangles (m, 3). None for no mesh."""
+def _meshed(face: Any, off: float, turned: float) -> dict[str, Array | Ints] | None:
+    """Corners of triangles: points (n, 3) [mm], normals (n, 3) out of the face and bends (n, 2) [1/mm], both NaN at poles; and
+    triangles, corners (m, 3). None for no mesh.
+
+    The mesher sees no bend where a surface turns back, as at the middle of an S; so triangles are cut in four where the face
+    halfway along a side is more than `off` [mm] from it, or its normal more than `turned` [rad] from what lies between those
+    of the ends.
+    """
     place = TopLoc_Location()
     mesh = BRep_Tool.Triangulation_s(face, place)
     if mesh is None:
         return None
-    surface, moved = BRepAdaptor_Surface(face), place.Transformation()
-    flip = -1.0 if face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED else 1.0
-    count = mesh.NbNodes()
-    points, normals = np.empty((count, 3)), np.full((count, 3), np.nan)
-    at, along_u, along_v = gp_Pnt(), gp_Vec(), gp_Vec()
+    moved, count = place.Transformation(), mesh.NbNodes()
+    uv, nodes = np.empty((count, 2)), np.empty((count, 3))
     for i in range(count):
-        node, uv = mesh.Node(i + 1).Transformed(moved), mesh.UVNode(i + 1)
-        points[i] = node.X(), node.Y(), node.Z()
-        surface.D1(uv.X(), uv.Y(), at, along_u, along_v)
-        out = along_u.Crossed(along_v)
-        if out.Magnitude() > _SMALLEST:
-            out.Normalize()
-            normals[i] = flip * out.X(), flip * out.Y(), flip * out.Z()
+        at, node = mesh.UVNode(i + 1), mesh.Node(i + 1).Transformed(moved)
+        uv[i], nodes[i] = (at.X(), at.Y()), (node.X(), node.Y(), node.Z())
+    surface = BRepAdaptor_Surface(face)
+    known = _Local(surface, uv)
+    points, normals, bends = nodes, known.normals, known.bends
     corners = np.array([mesh.Triangle(i + 1).Get() for i in range(mesh.NbTriangles())], dtype=np.int64) - 1
-    return points, normals, corners[:, ::-1] if flip < 0.0 else corners
+    done = []
+    for _ in range(_CUTS):
+        sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+        sides, which = np.unique(sides, axis=0, return_inverse=True)
+        halfway, chord = _Local(surface, uv[sides].mean(axis=1)), points[sides].mean(axis=1)
+        between = normals[sides].sum(axis=1)
+        cosine = (between * halfway.normals).sum(axis=1) / np.linalg.norm(between, axis=1)
+        sag = np.abs(((halfway.points - chord) * halfway.normals).sum(axis=1))
+        middles = which.reshape(-1, 3)
+        cut = ((cosine < np.cos(turned)) | (sag > off))[middles].any(axis=1)  # NaN, at poles, cuts nothing
+        used, place = np.unique(middles[cut], return_inverse=True)
+        middle = _beside(face, uv[sides[used]].mean(axis=1), chord[used])
+        halfway = _Local(surface, middle)
+        done.append(corners[~cut])
+        (a, b, c), (d, e, f) = corners[cut].T, len(uv) + place.reshape(-1, 3).T
+        corners = np.concatenate([np.column_stack(three) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+        uv = np.concatenate([uv, middle])
+        points, normals, bends = (
+            np.concatenate(both)
+            for both in ((points, halfway.points), (normals, halfway.normals), (bends, halfway.bends))
+        )
+        if not cut.any():
+            break
+    corners = np.concatenate([*done, corners])
+    flip = -1.0 if face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED else 1.0
+    if flip < 0.0:
+        corners = corners[:, ::-1]
+    return {"points": points, "normals": flip * normals, "bends": flip * bends, "corners": corners}
+
+
+def _beside(face: Any, uv: Array, points: Array) -> Array:
+    """Parameters (n, 2) of the places of a face that are nearest to points (n, 3) [mm], not far from uv (n, 2).
+
+    Halfway between parameters may be far from halfway between places: triangles that are cut there would leave holes
+    beside those that are not.
+    """
+    surface, out = ShapeAnalysis_Surface(BRep_Tool.Surface_s(face)), np.empty_like(uv)
+    for i, ((u, v), point) in enumerate(zip(uv.tolist(), points.tolist(), strict=True)):
+        found = surface.NextValueOfUV(gp_Pnt2d(u, v), gp_Pnt(*point), _NEAR)
+        out[i] = found.X(), found.Y()
+    return out
+
+
+class _Local:
+    """A surface at parameters (n, 2): points (n, 3) [mm], normals (n, 3), and principal curvatures, bends (n, 2) [1/mm]."""
+
+    def __init__(self, surface: Any, uv: Array) -> None:
+        self.points, self.normals = np.empty((len(uv), 3)), np.full((len(uv), 3), np.nan)
+        self.bends = np.full((len(uv), 2), np.nan)
+        local = BRepLProp_SLProps(surface, 2, _SMALLEST)
+        for i, (u, v) in enumerate(uv.tolist()):
+            local.SetParameters(u, v)
+            at, out = local.Value(), local.D1U().Crossed(local.D1V())
+            self.points[i] = at.X(), at.Y(), at.Z()
+            if out.Magnitude() > _SMALLEST:
+                out.Normalize()
+                self.normals[i] = out.X(), out.Y(), out.Z()
+                if local.IsCurvatureDefined():
+                    self.bends[i] = local.MinCurvature(), local.MaxCurvature()
 
 
 def answered(request: dict[str, Any]) -> dict[str, Any]:
-    """The answer to a request (file, iges, faces, off_mm: by how much triangles may leave faces), or why there is none."""
+    """The answer to a request (file, iges, faces; by how much triangles may leave faces, off_mm, and normals between their corners
+    be off, turned [rad]), or why there is none."""
     try:
         return triangles(request)
     except Standard_Failure as error:
