@@ -351,7 +351,7 @@ BAD: dict[str, tuple[Array, str, str, str]] = {
     "open": (block(flat(3.0))[200:], "", "layers.source.mesh", "is not closed"),
     "inside out": (block(flat(3.0))[:, ::-1], "", "layers.source.mesh", "inside out"),
     "below the bed": (block(flat(3.0), foot=-1.0), "", "layers.source.mesh", "1.000 mm below the bed"),
-    "edge on top": (block(roofs, cells=60), "", "layers.source.mesh", "smooth surface through the top"),
+    "edge on top": (block(roofs, cells=60), "", "layers.source.mesh", "smooth surface through the facets on top"),
     "too steep": (block(lambda x, y: 4.0 + 0.5 * x), "  tilt_deg: 20", "layers.tilt_deg", "tilts by"),
     "upper below": (block(flat(3.0)), "  upper: {z_mm: -1}", "layers.upper", "nowhere above"),
     "lower above": (block(flat(3.0)), "  lower: {z_mm: 4}", "layers.lower", "nowhere above"),
