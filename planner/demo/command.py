@@ -18,10 +18,10 @@ from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
 from planner.base.results import results_folder
 
 SHIPPED = Path(__file__).with_name("report.html.gz")
-PROBLEM = "peer_cap"
+PROBLEM = "hemisphere_honeycomb"
 RESULTS_BY = "demo"
 NEXT = (
-    ("beadwise solve peer_cap", "the same print, planned here; the first time compiles for some minutes"),
+    (f"beadwise solve {PROBLEM}", "the same print, planned here; the first time compiles for some minutes"),
     ("beadwise new", "asks for your robot, part and process, and writes a problem file"),
     ("beadwise solve --list", "the examples that ship, to copy from"),
 )
