@@ -69,9 +69,8 @@ def _cells(face: Face, low: Array, high: Array) -> list[int]:
     sags = []
     for shares in ((there, across), (across, there)):
         uv = low + np.stack(shares, axis=-1).reshape(-1, 2) * (high - low)
-        turns = np.diff(
-            face.points(uv).reshape(_LINES, _LOOKS, 3), 2, axis=1
-        )  # eight times what a piece leaves the face
+        # second differences are eight times what a piece leaves the face
+        turns = np.diff(face.points(uv).reshape(_LINES, _LOOKS, 3), 2, axis=1)
         sags.append(float(np.linalg.norm(turns, axis=2).max()) / 8.0 * ((_LOOKS - 1) / _CELLS) ** 2)
     if sum(sags) <= _SAG:
         return [_CELLS, _CELLS]

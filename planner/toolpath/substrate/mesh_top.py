@@ -52,7 +52,7 @@ class TooRoughMesh(ValueError):
         super().__init__(f"the facets are {gap * 1e3:.3f} mm off any smooth surface")
 
     def said(self, what: str) -> str:
-        """The reason in words; what: facets are those of it."""
+        """The reason in words; what: the facets, by name."""
         x, y = self.place * 1e3
         if not np.isfinite(self.gap):
             return f"no layer can lie on {what}: around x {x:.1f}, y {y:.1f} mm all of it is steeper than {_TOO_STEEP:.0f} deg"

@@ -6,7 +6,7 @@ It runs as a process of its own (`step_faces.py`): a damaged file can end it at 
 from __future__ import annotations
 
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from OCP.BRep import BRep_Tool
@@ -126,38 +126,61 @@ def _meshed(face: Any, off: float, turned: float) -> dict[str, Array | Ints] | N
     for i in range(count):
         at, node = mesh.UVNode(i + 1), mesh.Node(i + 1).Transformed(moved)
         uv[i], nodes[i] = (at.X(), at.Y()), (node.X(), node.Y(), node.Z())
-    surface = BRepAdaptor_Surface(face)
-    known = _Local(surface, uv)
-    points, normals, bends = nodes, known.normals, known.bends
+    net = _Local.of(face, uv)._replace(points=nodes)
     corners = np.array([mesh.Triangle(i + 1).Get() for i in range(mesh.NbTriangles())], dtype=np.int64) - 1
     done = []
     for _ in range(_CUTS):
-        sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
-        sides, which = np.unique(sides, axis=0, return_inverse=True)
-        halfway, chord = _Local(surface, uv[sides].mean(axis=1)), points[sides].mean(axis=1)
-        between = normals[sides].sum(axis=1)
-        cosine = (between * halfway.normals).sum(axis=1) / np.linalg.norm(between, axis=1)
-        sag = np.abs(((halfway.points - chord) * halfway.normals).sum(axis=1))
-        middles = which.reshape(-1, 3)
-        cut = ((cosine < np.cos(turned)) | (sag > off))[middles].any(axis=1)  # NaN, at poles, cuts nothing
-        used, place = np.unique(middles[cut], return_inverse=True)
-        middle = _beside(face, uv[sides[used]].mean(axis=1), chord[used])
-        halfway = _Local(surface, middle)
-        done.append(corners[~cut])
-        (a, b, c), (d, e, f) = corners[cut].T, len(uv) + place.reshape(-1, 3).T
-        corners = np.concatenate([np.column_stack(three) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
-        uv = np.concatenate([uv, middle])
-        points, normals, bends = (
-            np.concatenate(both)
-            for both in ((points, halfway.points), (normals, halfway.normals), (bends, halfway.bends))
-        )
-        if not cut.any():
+        net, whole, corners = _cut(face, net, corners, off, turned)
+        done.append(whole)
+        if not len(corners):
             break
     corners = np.concatenate([*done, corners])
     flip = -1.0 if face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED else 1.0
     if flip < 0.0:
         corners = corners[:, ::-1]
-    return {"points": points, "normals": flip * normals, "bends": flip * bends, "corners": corners}
+    return {"points": net.points, "normals": flip * net.normals, "bends": flip * net.bends, "corners": corners}
+
+
+class _Local(NamedTuple):
+    """A surface at parameters uv (n, 2): points (n, 3) [mm], normals (n, 3), and principal curvatures, bends (n, 2) [1/mm]."""
+
+    uv: Array
+    points: Array
+    normals: Array
+    bends: Array
+
+    @classmethod
+    def of(cls, face: Any, uv: Array) -> _Local:
+        """Of a face; normals and bends are NaN at poles."""
+        points, normals, bends = np.empty((len(uv), 3)), np.full((len(uv), 3), np.nan), np.full((len(uv), 2), np.nan)
+        local = BRepLProp_SLProps(BRepAdaptor_Surface(face), 2, _SMALLEST)
+        for i, (u, v) in enumerate(uv.tolist()):
+            local.SetParameters(u, v)
+            at, out = local.Value(), local.D1U().Crossed(local.D1V())
+            points[i] = at.X(), at.Y(), at.Z()
+            if out.Magnitude() > _SMALLEST:
+                out.Normalize()
+                normals[i] = out.X(), out.Y(), out.Z()
+                if local.IsCurvatureDefined():
+                    bends[i] = local.MinCurvature(), local.MaxCurvature()
+        return cls(uv, points, normals, bends)
+
+
+def _cut(face: Any, net: _Local, corners: Ints, off: float, turned: float) -> tuple[_Local, Ints, Ints]:
+    """The net with what was added, the triangles (m, 3) that are flat enough as they are, and those that others were cut into."""
+    sides = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    sides, which = np.unique(sides, axis=0, return_inverse=True)
+    halfway, chord = _Local.of(face, net.uv[sides].mean(axis=1)), net.points[sides].mean(axis=1)
+    between = net.normals[sides].sum(axis=1)
+    cosine = (between * halfway.normals).sum(axis=1) / np.linalg.norm(between, axis=1)
+    sag = np.abs(((halfway.points - chord) * halfway.normals).sum(axis=1))
+    middles = which.reshape(-1, 3)
+    cut = ((cosine < np.cos(turned)) | (sag > off))[middles].any(axis=1)  # NaN, at poles, cuts nothing
+    used, place = np.unique(middles[cut], return_inverse=True)
+    added = _Local.of(face, _beside(face, halfway.uv[used], chord[used]))
+    (a, b, c), (d, e, f) = corners[cut].T, len(net.uv) + place.reshape(-1, 3).T
+    four = np.concatenate([np.column_stack(three) for three in ((a, d, f), (d, b, e), (f, e, c), (d, e, f))])
+    return _Local(*map(np.concatenate, zip(net, added, strict=True))), corners[~cut], four
 
 
 def _beside(face: Any, uv: Array, points: Array) -> Array:
@@ -171,24 +194,6 @@ def _beside(face: Any, uv: Array, points: Array) -> Array:
         found = surface.NextValueOfUV(gp_Pnt2d(u, v), gp_Pnt(*point), _NEAR)
         out[i] = found.X(), found.Y()
     return out
-
-
-class _Local:
-    """A surface at parameters (n, 2): points (n, 3) [mm], normals (n, 3), and principal curvatures, bends (n, 2) [1/mm]."""
-
-    def __init__(self, surface: Any, uv: Array) -> None:
-        self.points, self.normals = np.empty((len(uv), 3)), np.full((len(uv), 3), np.nan)
-        self.bends = np.full((len(uv), 2), np.nan)
-        local = BRepLProp_SLProps(surface, 2, _SMALLEST)
-        for i, (u, v) in enumerate(uv.tolist()):
-            local.SetParameters(u, v)
-            at, out = local.Value(), local.D1U().Crossed(local.D1V())
-            self.points[i] = at.X(), at.Y(), at.Z()
-            if out.Magnitude() > _SMALLEST:
-                out.Normalize()
-                self.normals[i] = out.X(), out.Y(), out.Z()
-                if local.IsCurvatureDefined():
-                    self.bends[i] = local.MinCurvature(), local.MaxCurvature()
 
 
 def answered(request: dict[str, Any]) -> dict[str, Any]:
