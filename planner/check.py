@@ -5,9 +5,7 @@ python -m planner.check cylinder_logo.yaml
 
 from __future__ import annotations
 
-import sys
-
-from planner.base.launch import launch
+from planner.base.launch import end, launch
 
 if __name__ == "__main__":
-    sys.exit(launch("check"))
+    end(launch("check"))

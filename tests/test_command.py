@@ -567,7 +567,7 @@ HELD_UP = """
 import sys, time
 from pathlib import Path
 import planner.base.results, planner.planning.pipeline
-from planner.base.launch import launch
+from planner.base.launch import end, launch
 
 def hold(module, name, before):
     real = getattr(module, name)
@@ -582,7 +582,7 @@ def hold(module, name, before):
     setattr(module, name, held)
 
 hold({module}, {name!r}, {before})
-sys.exit(launch("solve", {arguments!r}))
+end(launch("solve", {arguments!r}))
 """
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -40,3 +43,80 @@ def test_an_interruption_in_a_finalizer_comes_again_and_leaves_no_traceback() ->
             cwd=ROOT, capture_output=True, text=True, timeout=60, check=False,
         )  # fmt: skip
         assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+# A command in which an interruption comes where it is not raised as one: as code in C does that was calling Python.
+SWALLOWED = """\
+import os, signal, sys, threading, time
+from pathlib import Path
+from types import ModuleType
+from planner.base import launch
+from planner.base.command_line import exit_code
+from planner.base.results import results_folder
+
+def interrupt():
+    try:
+        os.kill(os.getpid(), signal.{number})
+        time.sleep(30.0)
+    except KeyboardInterrupt:
+        pass
+
+def work():
+    with results_folder(Path("out"), "solve") as fresh:
+        (fresh / "plan.json").write_text("half")
+        {what}
+    return 0
+
+def command(arguments):
+    try:
+        return exit_code(work, lambda text: print(text, file=sys.stderr))
+    finally:
+        {then}
+
+module = sys.modules["made_up"] = ModuleType("made_up")
+module.main = command
+launch.COMMANDS["made_up"] = launch.CommandModule("made_up", "")
+launch.end(launch.launch("made_up", []))
+"""
+
+
+def swallowed(folder: Path, what: str, number: str = "SIGTERM", then: str = "pass") -> tuple[int, str]:
+    """Exit code and standard error output of that command; its results are gone."""
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED.format(number=number, what=what, then=then)],
+        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert [*folder.iterdir()] == []
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "interrupt()",
+        "interrupt(); raise TypeError('no common dtype')",
+        "interrupt(); raise SystemError from SystemError()",
+        "interrupt(); import made_up_package",
+    ],
+)
+def test_an_interruption_that_was_swallowed_ends_the_command(tmp_path: Path, what: str) -> None:
+    assert swallowed(tmp_path, what) == (130, "interrupted: nothing was written\n")
+
+
+def test_signals_while_an_interruption_is_answered(tmp_path: Path) -> None:
+    for number in ("SIGINT", "SIGTERM"):
+        code, said = swallowed(
+            tmp_path, "interrupt()", number, f"os.kill(os.getpid(), signal.{number}); time.sleep(9.0)"
+        )
+        assert (code, said) == (130, "interrupted: nothing was written\n")
+
+
+def test_threads_do_not_outlast_an_interrupted_command(tmp_path: Path) -> None:
+    thread = "threading.Thread(target=time.sleep, args=(50.0,)).start(); interrupt()"
+    assert swallowed(tmp_path, thread) == (130, "interrupted: nothing was written\n")
+
+
+def test_errors_without_an_interruption_are_told(tmp_path: Path) -> None:
+    code, said = swallowed(tmp_path, "raise TypeError('no common dtype')")
+    assert code == 1
+    assert said.endswith("TypeError: no common dtype\n")

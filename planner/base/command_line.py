@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from planner.base.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
 from planner.base.extras import missing_extra
+from planner.base.signals import interrupted as was_interrupted
 
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
 CONTINUED = " \\"  # ends a line of a command that goes on in the next one
@@ -23,13 +24,9 @@ HELP_COLUMN = 26  # where the text of an option begins, so that most names stand
 def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: str = "nothing was written") -> int:
     """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
     try:
-        return run()
+        with _InterruptionsAsSuch():
+            return run()
     except KeyboardInterrupt:
-        say(f"interrupted: {interrupted}")
-        return EXIT_INTERRUPTED
-    except SystemError as error:  # what Python makes of Ctrl-C that came while a compiled function returned
-        if not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
         say(f"interrupted: {interrupted}")
         return EXIT_INTERRUPTED
     except ImportError as error:
@@ -43,6 +40,18 @@ def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: s
         for hint in error.hints if isinstance(error, Refusal) else ():
             say(f"try: {hint}")
         return error.exit_code
+
+
+class _InterruptionsAsSuch:
+    """Whatever ends the block once an interruption has come is one, unless it is an error of ours: code in C that was
+    calling Python makes others of it."""
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if was_interrupted() and isinstance(error, Exception) and not isinstance(error, PlannerError):
+            raise KeyboardInterrupt from error
 
 
 class _Help(argparse.HelpFormatter):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import gc
 import importlib
 import os
@@ -9,13 +10,13 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, nearest_name
 from planner.base.extras import missing_extra
-from planner.base.signals import interrupts_answered, terminations_interrupt
+from planner.base.signals import interrupted, interrupts_answered, no_more_interruptions, terminations_interrupt
 from planner.base.terminal import forgive_output
 
 
@@ -50,7 +51,7 @@ def main() -> int:
     """The console script `beadwise NAME …`; returns the exit code."""
     name, arguments = (sys.argv[1], sys.argv[2:]) if len(sys.argv) > 1 else ("--help", [])
     if name in COMMANDS:
-        return launch(name, arguments)
+        end(launch(name, arguments))
     forgive_output()
     if name == "--version":
         from importlib.metadata import version
@@ -86,10 +87,29 @@ def launch(name: str, arguments: Sequence[str] | None = None) -> int:
         print(f"error: {missing}", file=sys.stderr)
         return missing.exit_code
     terminations_interrupt()
-    code: int = run(arguments)
+    try:
+        code: int = run(arguments)
+    except KeyboardInterrupt:  # another one, while the command answered the first
+        code = EXIT_INTERRUPTED
     interrupts_answered()
     gc.freeze()  # what is left goes back to the system as a whole
     return code
+
+
+def end(code: int) -> NoReturn:
+    """End this process with its command's exit code.
+
+    Where it was interrupted, the interpreter is not taken down: that ends threads wherever they are, and to end one
+    inside of a compiled function aborts the process.
+    """
+    no_more_interruptions()
+    if interrupted():
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):  # nobody reads any more, or it is closed
+                stream.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.base.errors import OutputError
-from planner.base.signals import ignored_interrupts
+from planner.base.signals import ignored_interrupts, interrupted
 
 if sys.platform != "win32":
     import fcntl
@@ -84,6 +84,8 @@ def results_folder(target: Path, by: str, tell: Tell = say) -> Iterator[Path]:
         raise OutputError(f"cannot write into {target}: {error.strerror}") from error
     try:
         yield fresh
+        if interrupted():  # code in C dropped it
+            raise KeyboardInterrupt
         kept = _put_in_place(fresh, target, by)
     except OSError as error:
         raise OutputError(f"cannot write into {target}: {error.strerror}; what was there is there still") from error

@@ -14,6 +14,7 @@ from types import FrameType
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 _SOON = 0.02  # s
+_came: list[int] = []  # numbers of the signals that interrupted this process
 
 
 @contextmanager
@@ -44,8 +45,24 @@ def terminations_interrupt() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    _came.append(number)
     sys.unraisablehook = _half_closed
     signal.default_int_handler(number, frame)
+
+
+def interrupted() -> bool:
+    """Whether Ctrl-C or SIGTERM came since `terminations_interrupt`.
+
+    Code in C that was calling Python then may have dropped the exception, or made another one of it.
+    """
+    return bool(_came)
+
+
+def no_more_interruptions() -> None:
+    """From here on neither Ctrl-C nor SIGTERM changes how this process ends."""
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _half_closed(left: sys.UnraisableHookArgs) -> None:

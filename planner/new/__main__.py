@@ -5,9 +5,7 @@ python -m planner.new my_print.yaml
 
 from __future__ import annotations
 
-import sys
-
-from planner.base.launch import launch
+from planner.base.launch import end, launch
 
 if __name__ == "__main__":
-    sys.exit(launch("new"))
+    end(launch("new"))
