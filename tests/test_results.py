@@ -307,16 +307,15 @@ spec = StepSpec.model_construct(file=Path("a.step"), faces="all", sew=0.0, rpy=(
 files.read_step(spec, 1e-3, lambda *told, **more: RuntimeError(told))
 """
 HELD_UP_READER = """
-import os, time
+import os, sys, time
 from pathlib import Path
-from planner.toolpath.step import reader
+from planner.base.isolated import answer
 
 def read(request):
     Path("child").write_text(str(os.getpid()))
     time.sleep(60.0)
 
-reader.read = read
-reader.main()
+sys.exit(answer(read))
 """
 
 
