@@ -92,9 +92,9 @@ def test_the_tilt_that_is_named_is_the_least_that_has_a_posture(toolpath: Toolpa
     task = make_tasks(toolpath, problem.process.speed, problem.process.run_in)[0]
     with pytest.raises(Refusal) as caught:
         ladder(cell, [task], problem.resolve)
-    (hint,) = (h for h in caught.value.hints if h.startswith("a nozzle tilted"))
+    (hint,) = (h for h in caught.value.hints if h.startswith("process.cones.nozzle_normal_deg"))
     tilts = [5.0, 10.0, 20.0]
-    found = re.match(r"a nozzle tilted (\d+) deg", hint)
+    found = re.fullmatch(r"process.cones.nozzle_normal_deg: (\d+) gives the nozzle a posture here", hint)
     assert found
     named = float(found[1])
     assert named > tilts[0]

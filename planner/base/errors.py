@@ -90,6 +90,7 @@ class Refusal(PlannerError):
     that were tried and would help. A function that finds them is called when they are first asked for: trying
     changes takes longer than all else, and a refusal that another plan makes good needs none.
     `near_ends` is true where a search ended that keeps room to the ends of joints' ranges, and nearer to them there may be a way.
+    `posture` has the joints (arm, then holder) [rad, m] of the posture there that comes nearest to serve, where there is one.
     """
 
     exit_code = EXIT_NOT_VERIFIED
@@ -106,10 +107,11 @@ class Refusal(PlannerError):
         missing_mm: float | None = None,
         hints: Hints | Callable[[], Hints] = (),
         near_ends: bool = False,
+        posture: tuple[float, ...] | None = None,
     ) -> None:
         self.reason, self.bead, self.waypoint, self.run = reason, bead, waypoint, run
         self.s_mm, self.point_mm, self.missing_mm = s_mm, point_mm, missing_mm
-        self._hints, self.near_ends = hints, near_ends
+        self._hints, self.near_ends, self.posture = hints, near_ends, posture
         place = []
         if bead is not None:
             place.append(f"bead {bead}")

@@ -43,12 +43,13 @@ from planner.planning.distributed import sqp_over
 from planner.planning.estimate import TOLD_FROM, check_memory, estimate
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.joint_ends import nearer_to_ends, noted
+from planner.planning.leaning import leaning
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
 from planner.planning.short_runs import all_short, may_be_short, with_short_runs
 from planner.planning.struts import check_struts
-from planner.planning.tried import hints_that_hold
+from planner.planning.tried import hints_that_hold, other_places
 from planner.problem import Problem, load_problem
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
@@ -151,7 +152,9 @@ def solve(
             (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
         except Refusal as refusal:
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
-            refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again))
+            best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
+            elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
+            refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
             raise
         problem, toolpath = given.problem, given.toolpath
         if nearer is not None:
@@ -255,11 +258,18 @@ def _as_can_be(
     stages: Stages,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """What is planned as `_as_clear_as_can_be`; where there is no way as far from the ends of joints' ranges as searches keep,
-    nearer to them, if that gives a verified plan. Raises Refusal."""
+    """What is planned as `_as_clear_as_can_be`; where an upright nozzle has no way, with one that leans within its cone, and
+    where there is none as far from the ends of joints' ranges as searches keep, nearer to them, if that gives a verified
+    plan. Raises Refusal."""
     try:
         return _as_clear_as_can_be(strategy, given, print_of, stages, over)
     except Refusal as refusal:
+        leans = leaning(given, refusal, stages) if strategy == DEFAULT else None
+        if leans is not None:
+            with suppress(Refusal):  # other processes know the tasks as they were
+                leant = print_of(leans)
+                if leant[1].verified:
+                    return leant, None
         nearer = nearer_to_ends(given, refusal, stages)
         if nearer is None:
             raise

@@ -91,4 +91,5 @@ def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path
         hints=refusal.hints,
         cell=cell,
         view=cell_view(cell),
+        posture=refusal.posture,
     )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from planner.base.errors import Change, Hints, InputError, MovedBy, Refusal
+from planner.base.shipped import PROBLEMS
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.problem.layers import WaypointLayersSpec
@@ -25,12 +26,29 @@ _SMOOTHINGS = ("1", "3")  # deg
 PlanOf = Callable[[Problem], Plan]  # raises Refusal or InputError
 
 
-def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: PlanOf) -> Hints:
+def hints_that_hold(
+    problem: Problem,
+    toolpath: Toolpath,
+    hints: Hints,
+    plan: PlanOf,
+    best: PlanOf | None = None,
+    otherwise: Hints = (),
+) -> Hints:
     """Those hints whose changes give a verified plan, told with how it prints; those that are no changes; and those for which
-    the print is too large, told to be untried."""
+    the print is too large, told to be untried.
+
+    best: plans by the default strategy, where the refusal is of another one
+    otherwise: told where no change gives a verified plan
+    """
     hints = (*_other_side(problem, toolpath), *hints, *_smoothing(problem, toolpath))
     waypoints = sum(len(bead.s) for bead in toolpath.beads)
-    left, told = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), []
+    left, told, holds = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), [], False
+    if best is not None and left:
+        left -= 1
+        found = _verified(problem, (), best)
+        if found is not None:
+            told.append(_told(f"strategy: {found.strategy}", found))
+            holds = True
     for hint in hints:
         if not isinstance(hint, Change):
             told.append(hint)
@@ -42,11 +60,20 @@ def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: Pl
             left -= 1
             found = _verified(problem, fields, plan)
             if found is not None:
-                told.append(
-                    f"{what} gives a verified plan, at speed on {found.metrics['at_speed_fraction']:.1%} of the length"
-                )
+                told.append(_told(what, found))
+                holds = True
                 break
-    return tuple(told)
+    return tuple(told) if holds else (*told, *otherwise)
+
+
+def other_places(problem: Problem) -> Hints:
+    """That the part may be printed from elsewhere, and how to find out."""
+    name = problem.file.stem if problem.file.parent == PROBLEMS else problem.file.name
+    return (f"python -m planner.place {name} looks for a place of the part from which all of it is printed",)
+
+
+def _told(what: str, found: Plan) -> str:
+    return f"{what} gives a verified plan, at speed on {found.metrics['at_speed_fraction']:.1%} of the length"
 
 
 def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: PlanOf) -> Plan | None:

@@ -50,6 +50,7 @@ def write_failure_report(
     hints: Sequence[str] = (),
     cell: Cell | None = None,
     view: CellView | None = None,
+    posture: Sequence[float] | None = None,
 ) -> None:
     """Write the report of a refused problem.
 
@@ -58,7 +59,8 @@ def write_failure_report(
     point_mm  the place in the part frame, if known
     facts     name -> text, shown as they are; "what to change", if there, is shown first of the advice
     hints     changes that were tried and would help, shown after it
-    cell, view   the robots and their bodies, to stand in the scene at their start
+    cell, view   the robots and their bodies, to stand in the scene
+    posture   their joints there, arm and holder [rad, m], if the refusal has a posture; else they stand at their start
     Raises OutputError where `path` cannot be written.
     """
     facts = dict(facts)
@@ -75,7 +77,7 @@ def write_failure_report(
     scene, marks = None, []
     if toolpath is not None:
         marks = _places(beads, failed, point_mm, [*([advice] if advice else []), *hints])
-        scene = failed_scene(toolpath.shape, beads, failed, marks, cell, view)
+        scene = failed_scene(toolpath.shape, beads, failed, marks, cell, view, posture)
     text = page.page(
         "failure",
         f"{problem.name}: no plan",
@@ -86,6 +88,7 @@ def write_failure_report(
         message=message,
         drawn=toolpath is not None,
         bead_known=failed is not None,
+        posture_known=posture is not None,
         known=[*known, *facts.items()],
         places=[(ReportPlace(each["letter"], "fail", each["what"], each["where"], -1), None) for each in marks],
         advice=advice,

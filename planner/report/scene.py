@@ -293,8 +293,10 @@ def failed_scene(
     places: list[dict[str, Any]],
     cell: Cell | None,
     view: CellView | None,
+    posture: Sequence[float] | None = None,
 ) -> dict[str, Any]:
-    """Scene where there is no trajectory: all beads as planned, the failed one in red, the robots at their start."""
+    """Scene where there is no trajectory: all beads as planned, the failed one in red, the robots in a posture, or else at
+    their start."""
     look = {"round": _round(beads)}
     others = [bead for k, bead in enumerate(beads) if k != failed]
     still = [bead_lines(others, SCENE_BUDGET) | look | {"colour": PLANNED}]
@@ -315,7 +317,7 @@ def failed_scene(
         "dips": None,
         "events": [],
         "colours": COLOURS,
-        "home": None if cell is None else cell.home.tolist(),
+        "home": None if cell is None else cell.home.tolist() if posture is None else [*posture],
     }
 
 

@@ -170,19 +170,15 @@ def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
 
 
 def _tilt_hints(stuck: Stuck) -> tuple[str, ...]:
-    """The least lean that gives a posture. The search itself leans only to clear part and print: see `but_head_on_part`."""
+    """The least lean that gives a posture, and those beyond it that may give a path."""
     clear = replace(stuck, obstacles=stuck.obstacles.but_head_on_part)
     leans = stuck.demand.cones.tilt == 0.0 and clear.serves(stuck.cell) > 0
+    what = "lets the nozzle lean clear here" if leans else "gives the nozzle a posture here"
     for tilt in TILTS:
-        if stuck.serves_tilted(np.radians(tilt)):
-            if leans:
-                key = "process.cones.nozzle_normal_deg"
-                more = tuple((f"{key}: {each:g}", ((key, f"{each:g}"),)) for each in TILTS if each >= tilt)
-                return (Change(f"{key}: {tilt:g} lets the nozzle lean clear here", more),)
-            return (
-                f"a nozzle tilted {tilt:g} deg from the surface normal has a posture here, but the search keeps it on the "
-                "normal: turn the part, or the normals",
-            )
+        if np.radians(tilt) > stuck.demand.cones.tilt and stuck.serves_tilted(np.radians(tilt)):
+            key = "process.cones.nozzle_normal_deg"
+            more = tuple((f"{key}: {each:g}", ((key, f"{each:g}"),)) for each in TILTS if each >= tilt)
+            return (Change(f"{key}: {tilt:g} {what}", more),)
     return ()
 
 
@@ -335,17 +331,23 @@ _PLACES, _NEXT = 48, 8
 
 @dataclass(frozen=True)
 class _Tried:
-    """Postures that the diagnosis looks at, at a sample of a task: flange poses T_base_flange (m, 4, 4), angles of the given
-    joints (m, k) if there are any, and all branches q (m, b, na), turned into the joints' ranges; which of these there are,
-    and which lie inside the ranges (m, b)."""
+    """Postures that the diagnosis looks at, at a sample of a task: flange poses T_base_flange (m, 4, 4), the holder's joints
+    (m, nh), angles of the given joints (m, k) if there are any, and all branches q (m, b, na), turned into the joints' ranges;
+    which of these there are, and which lie inside the ranges (m, b)."""
 
     task: NozzleTask
     sample: int
     T_base_flange: Array
+    holder: Array
     redundant: Array | None
     q: Array
     ok: Flags
     inside: Flags
+
+    def best(self, merit: Array) -> Array:
+        """Joints (nj) of the posture of greatest merit (m, b) of those that there are."""
+        a, b = np.unravel_index(int(np.where(self.ok, merit, -np.inf).argmax()), self.ok.shape)
+        return np.concatenate([self.q[a, b], self.holder[a]])
 
 
 def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nodes: Nodes, rung: int) -> _Tried:
@@ -359,14 +361,15 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
         zero, unit = nodes.scale
         chosen[:, grid.swept] = zero + unit * swept
     spot = repeated(tasks[k], i, len(roll))
-    T = flange_poses(cell, spot, roll, upright(spot), chosen[:, :nh])
+    holder = chosen[:, :nh]
+    T = flange_poses(cell, spot, roll, upright(spot), holder)
     redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(T, redundant)
     low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
     middle = 0.5 * (low + high)
     turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
     q = np.where(cell.limits.turns[:na], turned, q)
-    return _Tried(tasks[k], i, T, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
+    return _Tried(tasks[k], i, T, holder, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
 
 
 def _beyond_ranges(
@@ -415,32 +418,40 @@ def refuse_rung(
     stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
 
     def refuse(
-        reason: str, missing: float | None = None, kind: type[Refusal] = Refusal, ends: bool = False
+        reason: str,
+        posture: Array | None,
+        missing: float | None = None,
+        kind: type[Refusal] = Refusal,
+        ends: bool = False,
     ) -> NoReturn:
-        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind, ends)
+        refuse_at(task, i, reason, missing, partial(place_hints, stuck, task.tip[i], missing), kind, ends, posture)
 
     if not ok.any():
-        refuse("out of the arm's reach", float(cell.inverse.out_of_reach(tried.T_base_flange, tried.redundant).min()))
+        missing = float(cell.inverse.out_of_reach(tried.T_base_flange, tried.redundant).min())
+        refuse("out of the arm's reach", None, missing)
+    inner = np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q)  # how far inside its range each joint is
     if not tried.inside.any():
-        over = np.maximum(cell.limits.q_min[:na] - q, q - cell.limits.q_max[:na])
-        over[~ok] = np.inf
+        over = np.where(ok[:, :, None], -inner, np.inf)
         worst = over.max(axis=2)
         a, b = np.unravel_index(np.argmin(worst), worst.shape)
         joint = cell.arm.names[int(np.argmax(over[a, b]))]
         reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
-        refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg")
+        refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg", tried.best(-worst))
     if not np.isfinite(nodes.price[rung]).any():
         ends, room = stuck.has_postures_near_ends(), cell.limits.room
-        away = (np.minimum(q - cell.limits.q_min[:na], cell.limits.q_max[:na] - q) >= room).all(axis=2) & ok
+        away = (inner >= room).all(axis=2) & ok
         if not away.any():
             beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
             if beyond is not None:  # here the path comes near to what stops it there
                 refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
-            refuse(f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range", ends=ends)
+            reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"
+            refuse(reason, tried.best(inner.min(axis=2)), ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
-            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}", ends=ends)
+            merit = np.full(ok.shape, -np.inf)
+            merit[away] = sigma
+            refuse(f"{reason}, resolve.min_sigma is {min_sigma:g}", tried.best(merit), ends=ends)
         there = _postures_at(cell, demand, grid, rung, min_sigma) if obstacles.any else np.zeros((0, na + nh))
         if len(there):
             now = np.full(len(there), demand.now[demand.rung[rung]])
@@ -451,14 +462,14 @@ def refuse_rung(
             down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves
                 every += into_itself(down)
-            refuse(every, kind=Blocked, ends=ends)
+            refuse(every, there[k], kind=Blocked, ends=ends)
         reason = "no posture on the search's grid, though there are some between its steps: search finer"
         refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=ends)
     if obstacles.any:
         free = evaluate(cell, demand, grid, min_sigma)
         without, _ = best_route(free, demand, cell.limits)
         if without is not None:
-            worst, pair, lacking = _hit(cell, LadderRoute(demand, free, without), obstacles)
+            worst, pair, lacking, posture = _hit(cell, LadderRoute(demand, free, without), obstacles)
             k = int(np.searchsorted(demand.task_rungs, worst, side="right") - 1)
             i = int(demand.rung[worst]) - sum(len(t) for t in tasks[:k])
             way = "no way leads past, and the one that would be taken"
@@ -468,6 +479,7 @@ def refuse_rung(
                 _collision(obstacles, pair, lacking, way),
                 hints=partial(path_hints, stuck, tasks[k].tip[i]),
                 near_ends=True,
+                posture=posture,
             )
     reason = "no branch leads up to here: each ends at a joint's range, a singularity or the arm's reach"
     refuse_at(task, i, reason, hints=partial(path_hints, stuck, task.tip[i]), near_ends=True)
@@ -489,7 +501,7 @@ def refuse_collision(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacle
     i = int(np.argmin(margin))
     if margin[i] < -SLIGHT:
         what = _collision(obstacles, int(which[i]), float(margin[i]), "the best way found")
-        refuse_at(paths[worst].task, i, what)
+        refuse_at(paths[worst].task, i, what, posture=paths[worst].q[i])
 
 
 def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, standing: Sequence[str] = ()) -> str:
@@ -530,8 +542,8 @@ def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_si
     return np.hstack([nodes.q[found].astype(float), chosen[:, : len(cell.holder)]])
 
 
-def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int, float]:
-    """The rung at which a route comes nearest to obstacles, which pair does, and its margin [m]."""
+def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int, float, Array]:
+    """The rung at which a route comes nearest to obstacles, which pair does, its margin [m], and the posture (nj)."""
     nodes, route, demand = found.nodes, found.route, found.demand
     grid = nodes.grid
     r = np.arange(len(route.roll))
@@ -541,4 +553,4 @@ def _hit(cell: Cell, found: LadderRoute, obstacles: Obstacles) -> tuple[int, int
     q = np.hstack([arm, found.chosen(len(cell.chosen))[:, : len(cell.holder)]])
     margin, which = obstacles.margins(q, demand.now[demand.rung], np.inf, CLEAR_ROOM)
     worst = int(np.argmin(margin))
-    return worst, int(which[worst]), float(margin[worst])
+    return worst, int(which[worst]), float(margin[worst]), q[worst]

@@ -371,6 +371,7 @@ def refuse_at(
     hints: Callable[[], Hints] | None = None,
     kind: type[Refusal] = Refusal,
     near_ends: bool = False,
+    posture: Array | None = None,
 ) -> NoReturn:
     """Raise a Refusal, of this kind, that names the task's bead, sample and point; places in a run count as the bead's end."""
     mm = task.tip[i] * 1e3
@@ -390,6 +391,7 @@ def refuse_at(
         missing_mm=None if missing is None else missing * 1e3,
         hints=hints or (),
         near_ends=near_ends,
+        posture=None if posture is None else tuple(np.asarray(posture, dtype=float).tolist()),
     )
 
 

@@ -398,7 +398,7 @@ def _with_one_joint(
     cell: Cell, guides: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, share: float
 ) -> LadderRoute:
     """The best route on the whole coarse grid of roll, branch and the chosen joint next to the part; others rest at home."""
-    demand, grid = _coarse_grid(cell, guides, settings, MOST_NODES)
+    demand, grid = coarse_grid(cell, guides, settings, MOST_NODES)
     return _best_on(grid, cell, guides, demand, settings, obstacles, share)
 
 
@@ -579,11 +579,11 @@ def coarse_nodes(
 
     Of several chosen joints the one next to the part is tried, the others rest at home.
     """
-    demand, grid = _coarse_grid(cell, tasks, settings, most)
+    demand, grid = coarse_grid(cell, tasks, settings, most)
     return demand, evaluate(cell, demand, grid, settings.min_sigma, obstacles)
 
 
-def _coarse_grid(
+def coarse_grid(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
 ) -> tuple[SampledTasks, Grid]:
     demand = sample_tasks(tasks, _rung(cell, tasks, settings), _turn(cell, settings))
