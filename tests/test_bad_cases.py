@@ -228,6 +228,10 @@ def judge(plan: Plan) -> set[str]:
     return {check.name for check in plan.checks if not check.ok}
 
 
+def test_a_long_step_may_bend_where_short_ones_are_nearer(tmp_path: Path) -> None:
+    assert not judge(solve_alone(MAKERS["waypoints"](tmp_path, 23)))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("kind", "count"), [("waypoints", 40), ("drawing", 10)])
 def test_bad_cases_all_the_way(kind: str, count: int, tmp_path: Path) -> None:

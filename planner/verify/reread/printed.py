@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.collision.print_body import CLEARANCE, PART
 from planner.plan import Check
 from planner.problem.drawings import (
@@ -166,8 +166,7 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         return
     length = np.linalg.norm(found.end - found.start, axis=1)
     dots, which = dots_along(found, max(APART, float(length.sum()) / _MOST))
-    near = cKDTree(dots).query(places.tip, k=min(_NEAREST, len(dots)))[1].reshape(len(places.tip), -1)
-    off = distances_from(found, places.tip, [which[k] for k in near.T])
+    off = distances_from(found, places.tip, [*_near(places.tip, dots, which, length if found.bend > 0.0 else None)])
     limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
     some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
@@ -187,6 +186,19 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     if lost.any():
         where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
     yield Check(WHOLE, share, most, "of its length", share <= most, where)
+
+
+def _near(points: Array, dots: Array, which: Ints, length: Array | None) -> Iterator[Ints]:
+    """Pieces near to points (n, 3), as indices (n); `which` of them each dot (m, 3) is on. Of pieces whose lengths count, as
+    what they may bend does, the nearest of each octave: short ones that are nearer hide no long one."""
+    octave = np.zeros(len(dots), dtype=np.int64)
+    if length is not None:
+        octave = np.log2(np.maximum(length / max(float(np.median(length)), 1e-9), 1.0)).astype(np.int64)[which]
+    for each in np.unique(octave):
+        own = which[octave == each]
+        tree = cKDTree(dots[octave == each])
+        near = tree.query(points, k=min(_NEAREST, len(own)))[1].reshape(len(points), -1)
+        yield from (own[k] for k in near.T)
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
