@@ -297,6 +297,7 @@ def test_layers_values_and_dips_filter(stars: Opened) -> None:
 def test_colours_follow_the_choice_and_say_their_ends(stars: Opened) -> None:
     page = stars.page
     page.locator("[data-view=print]").click()
+    put(stars, "colour", "speed")
     before = seen(stars)
     put(stars, "colour", "sigma")
     classes = page.locator("#scale li").all_inner_texts()
