@@ -7,7 +7,7 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
 from typing import Any, NamedTuple, TypeVar
@@ -172,4 +172,5 @@ def _send_result(fork: Fork, function: Callable[..., Any], arguments: tuple[Any,
         result, error = function(*arguments), None
     except PlannerError as refused:
         result, error = None, refused
-    fork.sender.send((result, error))
+    with suppress(BrokenPipeError):  # who asked has ended, so this process is about to
+        fork.sender.send((result, error))
