@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -50,6 +51,7 @@ from planner.planning.short_runs import all_short, may_be_short, with_short_runs
 from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
+from planner.problem.overrides import overrides_of
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
@@ -74,14 +76,20 @@ MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel betwee
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
-def load(problem: str | Path, *overrides: str) -> Problem:
-    """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", "layers.count=1")`.
+def load(problem: Problem | str | Path, *overrides: str | Mapping[str, Any], **keywords: Any) -> Problem:
+    """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", {"layers.count": 1})`.
 
-    overrides: `dotted.key=value` as after `--set`, applied before anything is checked.
-    Raises InputError for whatever is wrong, with its file, line and field. What the problem names (a drawing, a mesh)
-    is not opened yet.
+    problem    a file, a shipped name, or a problem that was read, to be read again with further overrides
+    overrides  `dotted.key=value` as after `--set`, or dictionaries of dotted keys, in the file's units; what is set stands
+               in place of what the file has there. A text that is a path counts from the problem's folder, a `Path` from
+               the current one.
+    keywords   the same with `__` for a dot: `load("cylinder_logo", layers__count=1)`
+
+    All are applied before anything is checked. Raises InputError for whatever is wrong, with its file, line and field, or
+    the argument that it came from. What the problem names (a drawing, a mesh) is not opened yet.
     """
-    return load_problem(problem, overrides)
+    changes = overrides_of(overrides, keywords)
+    return problem.changed(changes) if isinstance(problem, Problem) else load_problem(problem, changes)
 
 
 def solve(

@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from planner.base.errors import Change, Hints, InputError, MovedBy, Refusal
 from planner.plan import Plan
-from planner.problem import Problem, load_problem
+from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.task import noise_of
@@ -52,7 +52,7 @@ def hints_that_hold(problem: Problem, toolpath: Toolpath, hints: Hints, plan: Pl
 def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: PlanOf) -> Plan | None:
     """A verified plan of the problem with fields changed; None where there is none."""
     try:
-        found = plan(load_problem(problem.file, [*problem.overrides, *(_setting(problem, *each) for each in fields)]))
+        found = plan(problem.changed([_setting(problem, *each) for each in fields]))
     except (Refusal, InputError):
         return None
     return found if found.verified else None
