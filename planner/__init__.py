@@ -2,11 +2,12 @@
 
     from planner import load, solve, write
 
-    plan = solve(load("cylinder_logo", "layers.count=1"))
+    plan = solve(load("cylinder_logo", layers__count=1))
     print(plan.summary())
     write(plan, "out/cylinder_logo")
 
 `load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
+`Toolpath.from_arrays` makes waypoints of arrays, which `load(..., toolpath=...)` has printed.
 `OwnTerm` says how a term of one's own joins what the refinement weighs.
 """
 

@@ -51,7 +51,8 @@ from planner.planning.short_runs import all_short, may_be_short, with_short_runs
 from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold
 from planner.problem import Problem, load_problem
-from planner.problem.overrides import overrides_of
+from planner.problem.overrides import overrides_of, printed
+from planner.problem.waypoint_arrays import WaypointArrays
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
@@ -76,19 +77,28 @@ MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel betwee
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
-def load(problem: Problem | str | Path, *overrides: str | Mapping[str, Any], **keywords: Any) -> Problem:
+def load(
+    problem: Problem | str | Path,
+    *overrides: str | Mapping[str, Any],
+    toolpath: WaypointArrays | None = None,
+    **keywords: Any,
+) -> Problem:
     """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", {"layers.count": 1})`.
 
     problem    a file, a shipped name, or a problem that was read, to be read again with further overrides
     overrides  `dotted.key=value` as after `--set`, or dictionaries of dotted keys, in the file's units; what is set stands
                in place of what the file has there. A text that is a path counts from the problem's folder, a `Path` from
                the current one.
-    keywords   the same with `__` for a dot: `load("cylinder_logo", layers__count=1)`
+    toolpath   waypoints of `Toolpath.from_arrays`, in place of the file's layers and part; keys of `layers.source` that
+               waypoints of a file have may be set besides
+    keywords   overrides with `__` for a dot: `load("cylinder_logo", layers__count=1)`
 
     All are applied before anything is checked. Raises InputError for whatever is wrong, with its file, line and field, or
     the argument that it came from. What the problem names (a drawing, a mesh) is not opened yet.
     """
     changes = overrides_of(overrides, keywords)
+    if toolpath is not None:
+        changes = (printed(toolpath), *changes)
     return problem.changed(changes) if isinstance(problem, Problem) else load_problem(problem, changes)
 
 
@@ -125,6 +135,8 @@ def solve(
     strategy = _known(strategy or problem.strategy)
     if not MIN_DT <= dt <= MAX_DT:
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
+    if problem.from_arrays and over is not None:
+        raise InputError("other processes cannot see waypoints from arrays", field="over", hint="leave it out")
     own = _own(terms, strategy, over)
     stages = stages or Stages()
     with stages.stage("load"):

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.errors import InputError
+from planner.problem.waypoint_arrays import WaypointArrays
 from planner.problem.yaml_file import (
     DEEPEST_NESTING,
     LARGEST_FILE,
@@ -153,12 +154,39 @@ def apply_overrides(
     Whether the problem has such a key is for the validation to say, which knows the keys.
     """
     for override in overrides:
+        if isinstance(override.value, WaypointArrays):
+            data = _printing(data, override.value)
+            continue
 
         def complain(reason: str, line: int | None, hint: str | None, label: str = override.label) -> InputError:
             return InputError(reason, field=label, hint=hint)
 
         data = _put(data, override.path, override.value, complain)
     return data, ValueSources(source.file, source.lines, tuple(overrides))
+
+
+def printed(toolpath: object) -> Override:
+    """What has a problem print waypoints from arrays. Raises InputError for anything else."""
+    if not isinstance(toolpath, WaypointArrays):
+        hint = "planner.Toolpath.from_arrays(points, normals) makes it"
+        raise InputError(f"must be waypoints from arrays, not {_kind(toolpath)}", field="toolpath", hint=hint)
+    return Override(("layers",), toolpath, "toolpath", f"layers={toolpath}")
+
+
+def _printing(data: dict[str, Any], arrays: WaypointArrays) -> dict[str, Any]:
+    """A problem's values with waypoints in place of its layers; they carry their own surface, so there is no part.
+
+    Their material stays, and the height of a layer is that of a bead, where the problem has no other.
+    """
+    old, process = data.get("layers"), data.get("process")
+    layers: dict[str, Any] = {"source": {"waypoints": arrays, "unit": "m"}}
+    data = {key: value for key, value in data.items() if key != "part"} | {"layers": layers}
+    if isinstance(old, dict) and "material" in old:
+        layers["material"] = old["material"]
+    bead = process.get("bead") if isinstance(process, dict) else None
+    if isinstance(old, dict) and "height_mm" in old and isinstance(bead, dict):
+        data["process"] = {**process, "bead": {"height_mm": old["height_mm"], **bead}}  # type: ignore[dict-item]
+    return data
 
 
 def _put(data: Any, path: Keys, value: Any, complain: Complaint) -> dict[str, Any]:

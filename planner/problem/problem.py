@@ -211,6 +211,11 @@ class Problem(Section):
         """The problem read once more, with further overrides after its own; raises InputError as `load_problem` does."""
         return load_problem(self.file, (*self._source.overrides, *overrides))
 
+    @property
+    def from_arrays(self) -> bool:
+        """Whether it prints what stands in no file."""
+        return isinstance(self.layers, WaypointLayersSpec) and not isinstance(self.layers.source.waypoints, Path)
+
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
         """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
 
