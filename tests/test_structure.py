@@ -21,7 +21,7 @@ HEAVY = {
     "pinocchio": {"cell.bodies", "cell.carrier", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
     "coal": {"robots.touching", "cell.bodies", "verify.bodies", "verify.reread"},
     "ruckig": {"motion.travel"},
-    "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
+    "shapely": {"plan.stored", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},

@@ -6,15 +6,17 @@ SI units and radians, but for metrics, whose names have their units, and columns
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, build_cell
+from planner.plan.stored import save, stored_parts
 from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
 from planner.problem.process import signals
@@ -270,6 +272,23 @@ class Plan:
     roll_maps: tuple[RollMap, ...] = ()
     nearer: Nearer | None = None
     seal: Mapping[str, str] = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the whole plan into one file, from which `Plan.load` gives it back to the last bit.
+
+        Raises OutputError where it cannot be written.
+        """
+        return save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """The plan that `save` wrote. Its cell is made of its problem and the robots' files again.
+
+        What is not as it was when the plan was verified, its file's numbers or a robot's file, is seen by the seal:
+        `write` verifies such a plan anew. Raises InputError for what is no such file, or of another version.
+        """
+        parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
+        return cls(cell=build_cell(parts["problem"]), **parts)
 
     @property
     def first_bead(self) -> int:

@@ -203,6 +203,11 @@ class Problem(Section):
         return self._source.file
 
     @property
+    def sources(self) -> ValueSources:
+        """Where each of its values came from."""
+        return self._source
+
+    @property
     def overrides(self) -> tuple[str, ...]:
         """The `dotted.key=value` that were applied to the file."""
         return tuple(override.words for override in self._source.overrides)
