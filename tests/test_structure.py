@@ -39,6 +39,8 @@ HEAVY = {
     "distributed": {"base.distribution"},
     "requests": {"link"},
     "websocket": {"link"},
+    "pandas": {"plan.frames", "plan.plan"},
+    "xarray": {"plan.frames", "plan.plan"},
     "xacro": {"robots.survey"},
     "xacrodoc": {"robots.survey"},
 }

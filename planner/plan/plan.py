@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.cell.cell import Cell, build_cell
+from planner.plan.frames import data_frame, data_set
 from planner.plan.stored import save, stored_parts
 from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
@@ -23,6 +24,9 @@ from planner.problem.process import signals
 from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
+
     from planner.plan.robustness import Robustness
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
@@ -377,11 +381,25 @@ class Plan:
     def table(self) -> NDArray[np.void]:
         """All samples as a structured array (n), with the columns of trajectory.csv, not rounded.
 
-        `plan.table()["x_mm"]` is a column, and `pandas.DataFrame(plan.table())` a data frame. t_s; bead, -1 in
+        `plan.table()["x_mm"]` is a column. t_s; bead, -1 in
         travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit axis ax, ay, az, both in the
         part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad.
         """
         return table_of(self.trajectory, self.joint_names)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The columns of `table` as a data frame; its `attrs` name problem, strategy and verdict.
+
+        Raises InputError without pandas, which the extra `tables` installs.
+        """
+        return data_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The columns of `table` along `t_s`, and all joints as `q` along `t_s` and `joint`, with their ranges.
+
+        Raises InputError without xarray, which the extra `tables` installs.
+        """
+        return data_set(self)
 
     def summary(self) -> str:
         """A few lines of text: the verdict, and what matters most."""
