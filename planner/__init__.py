@@ -8,6 +8,7 @@
 
 `load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
 `Toolpath.from_arrays` makes waypoints of arrays, which `load(..., toolpath=...)` has printed.
+`register_strategy` has a strategy of one's own stand beside them.
 `OwnTerm` says how a term of one's own joins what the refinement weighs.
 """
 
@@ -22,19 +23,25 @@ if TYPE_CHECKING:
     from planner.planning.pipeline import load, solve, write
     from planner.problem import Problem
     from planner.report import plots
+    from planner.resolve.joint_path import JointPath
+    from planner.resolve.own_strategies import OwnStrategy, joint_paths, register_strategy
     from planner.resolve.own_terms import OwnTerm, PathSamples, SamplePrice, check_term, random_samples
     from planner.resolve.strategies import STRATEGIES
     from planner.toolpath.bead import Toolpath
+    from planner.toolpath.task import NozzleTask
 
 __all__ = [
-    "STRATEGIES", "Cell", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice", "Toolpath", "check_term", "load", "plots",
-    "random_samples", "solve", "write",
+    "STRATEGIES", "Cell", "JointPath", "NozzleTask", "OwnStrategy", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice",
+    "Toolpath", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "write",
 ]  # fmt: skip
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
 _HOMES = {
     "STRATEGIES": "planner.resolve.strategies",
     "Cell": "planner.cell.cell",
+    "JointPath": "planner.resolve.joint_path",
+    "NozzleTask": "planner.toolpath.task",
+    "OwnStrategy": "planner.resolve.own_strategies",
     "OwnTerm": "planner.resolve.own_terms",
     "PathSamples": "planner.resolve.own_terms",
     "Plan": "planner.plan",
@@ -42,9 +49,11 @@ _HOMES = {
     "SamplePrice": "planner.resolve.own_terms",
     "Toolpath": "planner.toolpath.bead",
     "check_term": "planner.resolve.own_terms",
+    "joint_paths": "planner.resolve.own_strategies",
     "load": "planner.planning.pipeline",
     "plots": "planner.report",
     "random_samples": "planner.resolve.own_terms",
+    "register_strategy": "planner.resolve.own_strategies",
     "solve": "planner.planning.pipeline",
     "write": "planner.planning.pipeline",
 }
