@@ -9,7 +9,7 @@
 `load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
 `Toolpath.from_arrays` makes waypoints of arrays, which `load(..., toolpath=...)` has printed.
 `register_strategy` has a strategy of one's own stand beside them.
-`OwnTerm` says how a term of one's own joins what the refinement weighs.
+`add_robot` makes a robot's file from its URDF or its model in Pinocchio. `OwnTerm` says how a term of one's own joins what the refinement weighs.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ if TYPE_CHECKING:
     from planner.resolve.own_strategies import OwnStrategy, joint_paths, register_strategy
     from planner.resolve.own_terms import OwnTerm, PathSamples, SamplePrice, check_term, random_samples
     from planner.resolve.strategies import STRATEGIES
+    from planner.robots.adding import add_robot
     from planner.toolpath.bead import Toolpath
     from planner.toolpath.task import NozzleTask
 
 __all__ = [
     "STRATEGIES", "Cell", "JointPath", "NozzleTask", "OwnStrategy", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice",
-    "Toolpath", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "write",
+    "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "write",
 ]  # fmt: skip
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
@@ -48,6 +49,7 @@ _HOMES = {
     "Problem": "planner.problem",
     "SamplePrice": "planner.resolve.own_terms",
     "Toolpath": "planner.toolpath.bead",
+    "add_robot": "planner.robots.adding",
     "check_term": "planner.resolve.own_terms",
     "joint_paths": "planner.resolve.own_strategies",
     "load": "planner.planning.pipeline",

@@ -18,7 +18,16 @@ LAYERS = (
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
     "numba": {"base.compiled"},
-    "pinocchio": {"cell.bodies", "cell.carrier", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
+    "pinocchio": {
+        "cell.bodies",
+        "cell.carrier",
+        "cell.cell",
+        "cell.robot",
+        "cell.urdf",
+        "robots.adding",
+        "robots.from_model",
+        "verify.executed",
+    },
     "coal": {"robots.touching", "cell.bodies", "verify.bodies", "verify.reread"},
     "ruckig": {"motion.travel"},
     "shapely": {"plan.stored", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
