@@ -7,6 +7,7 @@
     write(plan, "out/cylinder_logo")
 
 `load` reads a problem, `solve` makes a `Plan` of a `Problem` with one of `STRATEGIES`, `write` writes its files.
+`solve_all` solves many.
 `Toolpath.from_arrays` makes waypoints of arrays, which `load(..., toolpath=...)` has printed.
 `register_strategy` has a strategy of one's own stand beside them.
 `add_robot` makes a robot's file from its URDF or its model in Pinocchio. `OwnTerm` says how a term of one's own joins what the refinement weighs.
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
     from planner.plan import Plan
+    from planner.planning.batch import Solved, solve_all
     from planner.planning.pipeline import load, solve, write
     from planner.problem import Problem
     from planner.report import plots
@@ -33,7 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "STRATEGIES", "Cell", "JointPath", "NozzleTask", "OwnStrategy", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice",
-    "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "write",
+    "Solved", "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "solve_all",
+    "write",
 ]  # fmt: skip
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
@@ -48,6 +51,7 @@ _HOMES = {
     "Plan": "planner.plan",
     "Problem": "planner.problem",
     "SamplePrice": "planner.resolve.own_terms",
+    "Solved": "planner.planning.batch",
     "Toolpath": "planner.toolpath.bead",
     "add_robot": "planner.robots.adding",
     "check_term": "planner.resolve.own_terms",
@@ -57,6 +61,7 @@ _HOMES = {
     "random_samples": "planner.resolve.own_terms",
     "register_strategy": "planner.resolve.own_strategies",
     "solve": "planner.planning.pipeline",
+    "solve_all": "planner.planning.batch",
     "write": "planner.planning.pipeline",
 }
 
