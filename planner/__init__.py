@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from planner.planning.pipeline import load, solve, write
     from planner.problem import Problem
     from planner.report import plots
+    from planner.report.inline import show
     from planner.resolve.joint_path import JointPath
     from planner.resolve.own_strategies import OwnStrategy, joint_paths, register_strategy
     from planner.resolve.own_terms import OwnTerm, PathSamples, SamplePrice, check_term, random_samples
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "STRATEGIES", "Cell", "JointPath", "NozzleTask", "OwnStrategy", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice",
-    "Solved", "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy", "solve", "solve_all",
-    "write",
+    "Solved", "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy",
+    "show", "solve", "solve_all", "write",
 ]  # fmt: skip
 
 # Public name → module that holds it. Read when first asked for: every command imports this package, and is quick.
@@ -60,6 +61,7 @@ _HOMES = {
     "plots": "planner.report",
     "random_samples": "planner.resolve.own_terms",
     "register_strategy": "planner.resolve.own_strategies",
+    "show": "planner.report.inline",
     "solve": "planner.planning.pipeline",
     "solve_all": "planner.planning.batch",
     "write": "planner.planning.pipeline",

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import xarray
 
     from planner.plan.robustness import Robustness
+    from planner.report.inline import InlineScene
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
 
@@ -400,6 +401,15 @@ class Plan:
         Raises InputError without xarray, which the extra `tables` installs.
         """
         return data_set(self)
+
+    def show(self, height: int = 640) -> InlineScene:
+        """The print in 3-D, played, below a cell of a notebook; elsewhere `plan.show().save("scene.html")` writes the page.
+
+        Raises InputError for a height [px] that is none.
+        """
+        from planner import show  # by the public name: who draws plans is asked only when one is drawn
+
+        return show(self, height)
 
     def summary(self) -> str:
         """A few lines of text: the verdict, and what matters most."""
