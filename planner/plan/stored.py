@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 
+from planner.base.arguments import as_path
 from planner.base.errors import InputError, OutputError
 from planner.base.versions import versions
 
@@ -52,7 +53,7 @@ _UNLIKE = (TypeError, ValueError, KeyError, IndexError, AttributeError, ImportEr
 
 def save(plan: Plan, path: str | Path) -> Path:
     """Write a plan into one file, in place of an earlier one. Raises OutputError where it cannot be written."""
-    target = Path(path)
+    target = as_path(path, "path")
     taking = _Taking()
     parts = {field.name: taking.of(getattr(plan, field.name)) for field in fields(plan) if field.name != "cell"}
     source = taking.of(plan.problem.sources)
@@ -82,7 +83,7 @@ def save(plan: Plan, path: str | Path) -> Path:
 
 def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
     """The fields of a plan that `save` wrote, by their names, all but its cell. Raises InputError for anything else."""
-    source = Path(path)
+    source = as_path(path, "path")
     try:
         with np.load(source, allow_pickle=False) as archive:
             if not hasattr(archive, "files"):

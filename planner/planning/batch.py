@@ -11,6 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from planner.base.arguments import as_list, as_number, check_callable, kind_of
 from planner.base.distribution import MOST_JOBS, spread
 from planner.base.errors import InputError, PlannerError
 from planner.plan import Plan
@@ -98,11 +99,14 @@ def solve_all(
     """
     if isinstance(problems, (str, Path, Problem)):
         raise InputError("must be a list of problems", field="problems", hint="solve takes one of them")
-    given = tuple(problems)
+    given = as_list(problems, "problems", "problems")
+    as_number(dt, "dt")
+    if done is not None:
+        check_callable(done, "done")
     for i, problem in enumerate(given):
         if not isinstance(problem, (str, Path, Problem)):
             hint = "a file, a shipped name, or what load gives"
-            raise InputError(f"is of type {type(problem).__name__}", field=f"problems[{i}]", hint=hint)
+            raise InputError(f"is {kind_of(problem)}", field=f"problems[{i}]", hint=hint)
     if type(jobs) is not int or not 1 <= jobs <= MOST_JOBS:
         raise InputError(f"{jobs!r} is not a number of processes", field="jobs", hint=f"1 to {MOST_JOBS}")
     if jobs > 1 and terms:

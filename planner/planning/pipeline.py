@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
 from planner.base.distribution import Spread
 from planner.base.errors import InputError, Refusal, nearest_name
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
@@ -99,7 +100,9 @@ def load(
     changes = overrides_of(overrides, keywords)
     if toolpath is not None:
         changes = (printed(toolpath), *changes)
-    return problem.changed(changes) if isinstance(problem, Problem) else load_problem(problem, changes)
+    if isinstance(problem, Problem):
+        return problem.changed(changes)
+    return load_problem(as_path(problem, "problem"), changes)
 
 
 def solve(
@@ -131,9 +134,10 @@ def solve(
     Raises InputError for wrong input and for what needs more memory than there is, Refusal where there is no plan at all.
     """
     problem = problem if isinstance(problem, Problem) else load(problem)
-    tolerance = _tolerance(tolerance) if isinstance(tolerance, str) else tolerance
-    strategy = _known(strategy or problem.strategy)
-    if not MIN_DT <= dt <= MAX_DT:
+    tolerance = None if tolerance is None else _tolerance(tolerance)
+    strategy = _known(problem.strategy if strategy is None else strategy)
+    first_bead = as_index(first_bead, "first_bead")
+    if not MIN_DT <= as_number(dt, "dt") <= MAX_DT:
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
     if problem.from_arrays and over is not None:
         raise InputError("other processes cannot see waypoints from arrays", field="over", hint="leave it out")
@@ -228,6 +232,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
 def _known(strategy: str) -> str:
     """Raises InputError where there is no such strategy."""
+    as_one_of(strategy, str, "strategy", "its name; register_strategy gives one to a function of your own")
     if strategy in STRATEGIES:
         return strategy
     near = nearest_name(strategy, STRATEGIES)
@@ -237,8 +242,11 @@ def _known(strategy: str) -> str:
 
 def _own(terms: Sequence[OwnTerm], strategy: str, over: Spread | None) -> tuple[Own, ...]:
     """A user's terms. Raises InputError for what is no term, and where nothing would ask them."""
+    terms = as_list(terms, "terms", "terms")
     if terms and strategy != DEFAULT:
         raise InputError(f"strategy {strategy} refines nothing", field="terms", hint=f"strategy {DEFAULT} does")
+    if over is not None:
+        check_callable(over, "over")
     if terms and over is not None:
         raise InputError("other processes cannot ask terms of this one", field="terms", hint="leave out over")
     return own_terms(terms)
@@ -249,8 +257,11 @@ def _names_of(terms: Sequence[OwnTerm]) -> dict[str, object]:
     return {"terms": [term.name for term in terms]} if terms else {}
 
 
-def _tolerance(text: str) -> Tolerance:
+def _tolerance(text: Tolerance | str) -> Tolerance:
     """Raises InputError for what is no tolerance."""
+    if isinstance(text, Tolerance):
+        return text
+    as_one_of(text, str, "tolerance", "such as 2mm,1deg")
     try:
         return parse_tolerance(text)
     except ValueError as error:
@@ -568,7 +579,8 @@ def write(plan: Plan, folder: str | Path) -> Plan:
     that was changed since it was verified is verified anew: what is written is judged as it is.
     Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
     """
-    with results_folder(Path(folder), RESULTS_BY) as fresh:
+    as_one_of(plan, Plan, "plan", "what solve gives")
+    with results_folder(as_path(folder, "folder"), RESULTS_BY) as fresh:
         return write_files(plan, fresh)
 
 

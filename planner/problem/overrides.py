@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import kind_of
 from planner.base.errors import InputError
 from planner.problem.waypoint_arrays import WaypointArrays
 from planner.problem.yaml_file import (
@@ -67,7 +68,7 @@ def _each(given: Sequence[str | Mapping[str, Any]], keywords: Mapping[str, Any])
         else:
             hint = 'for example "layers.count=1" or {"layers.count": 1}'
             raise InputError(
-                f"must be a text or a dictionary, not {_kind(one)}", field=f"overrides, number {i}", hint=hint
+                f"must be a text or a dictionary, not {kind_of(one)}", field=f"overrides, number {i}", hint=hint
             )
     for name, value in keywords.items():
         yield _from_python(name.replace(DOT, "."), value, name)
@@ -103,13 +104,11 @@ def _plain(value: object, label: str, depth: int = 0) -> Any:
     if isinstance(value, Mapping):
         wrong = next((key for key in value if not isinstance(key, str)), None)
         if wrong is not None:
-            raise InputError(f"a key must be a name, not {_kind(wrong)}", field=label)
+            raise InputError(f"a key must be a name, not {kind_of(wrong)}", field=label)
         return {key: _plain(each, f"{label}[{key!r}]", depth + 1) for key, each in value.items()}
-    raise InputError(f"is {_kind(value)}", field=label, hint="a number, text, list or dictionary, as in a problem file")
-
-
-def _kind(value: object) -> str:
-    return f"of type {type(value).__name__}"
+    raise InputError(
+        f"is {kind_of(value)}", field=label, hint="a number, text, list or dictionary, as in a problem file"
+    )
 
 
 def _yaml(value: Any) -> str:
@@ -169,7 +168,7 @@ def printed(toolpath: object) -> Override:
     """What has a problem print waypoints from arrays. Raises InputError for anything else."""
     if not isinstance(toolpath, WaypointArrays):
         hint = "planner.Toolpath.from_arrays(points, normals) makes it"
-        raise InputError(f"must be waypoints from arrays, not {_kind(toolpath)}", field="toolpath", hint=hint)
+        raise InputError(f"must be waypoints from arrays, not {kind_of(toolpath)}", field="toolpath", hint=hint)
     return Override(("layers",), toolpath, "toolpath", f"layers={toolpath}")
 
 

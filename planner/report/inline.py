@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from planner.base.arguments import as_one_of, as_path
 from planner.base.errors import InputError
-from planner.plan.plan import plan_line
+from planner.plan.plan import Plan, plan_line
 from planner.report import page
 from planner.report.html import stage
 from planner.report.places import places_of
 from planner.report.scene import plan_scene
-
-if TYPE_CHECKING:
-    from planner.plan import Plan
 
 HEIGHTS = (200, 4000)  # px
 
@@ -34,8 +31,9 @@ class InlineScene:
 
     def save(self, path: str | Path) -> Path:
         """Write the page into a file of its own. Raises OutputError where it cannot be written."""
-        page.write_text(Path(path), self.html)
-        return Path(path)
+        target = as_path(path, "path")
+        page.write_text(target, self.html)
+        return target
 
     def __repr__(self) -> str:
         return f"<InlineScene of {self.told}>"
@@ -47,6 +45,7 @@ class InlineScene:
 
 def show(plan: Plan, height: int = 640) -> InlineScene:
     """The scene of a plan for a notebook, in a frame so high [px]. Raises InputError for a height that is none."""
+    as_one_of(plan, Plan, "plan", "what solve gives")
     if type(height) is not int or not HEIGHTS[0] <= height <= HEIGHTS[1]:
         raise InputError(f"{height!r} is no height", field="height", hint=f"{HEIGHTS[0]} to {HEIGHTS[1]} pixels")
     places = places_of(plan)

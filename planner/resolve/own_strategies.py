@@ -12,6 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planner.base.arguments import as_index, as_list, as_one_of, check_callable
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
@@ -53,8 +54,7 @@ def register_strategy(name: str, strategy: OwnStrategy) -> None:
         raise InputError(f"{name!r} is no name of a strategy", field="name", hint=hint)
     if name in STRATEGY_NAMES:
         raise InputError(f"{name} is a strategy of the planner's own", field="name", hint=f"for example my_{name}")
-    if not callable(strategy):
-        raise InputError(f"cannot be called: it is of type {type(strategy).__name__}", field="strategy")
+    check_callable(strategy, "strategy")
 
     def checked(
         cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles
@@ -82,13 +82,19 @@ def joint_paths(
 
     Raises Refusal, with the place, where a pose is out of reach or outside a joint's range; InputError for wrong shapes.
     """
-    if not len(tasks):
+    as_one_of(cell, Cell, "cell", "what a strategy is given")
+    tasks = as_list(tasks, "tasks", "tasks")
+    for i, task in enumerate(tasks):
+        as_one_of(task, NozzleTask, f"tasks[{i}]", "what a strategy is given")
+    if not tasks:
         return ()
     na, k = len(cell.arm), len(cell.chosen)
     home = int(cell.inverse.branches(cell.home[None, :na])[0])
     for name, given in (("rolls", rolls), ("tilts", tilts), ("chosen", chosen), ("branches", branches)):
-        if given is not None and len(given) != len(tasks):
-            raise InputError(f"has {len(given)}, there are {len(tasks)} tasks", field=name)
+        if given is not None or name == "rolls":
+            count = len(as_list(given, name, "one for each task"))
+            if count != len(tasks):
+                raise InputError(f"has {count}, there are {len(tasks)} tasks", field=name)
     rest = cell.home[list(cell.chosen)]
     asked = []
     for i, task in enumerate(tasks):  # all that is wrong is told before anything is computed
@@ -96,12 +102,19 @@ def joint_paths(
         roll = _broadcast(f"rolls[{i}]", rolls[i], ((n,), ()), (n,))
         tilt = np.zeros((n, 2)) if tilts is None else _broadcast(f"tilts[{i}]", tilts[i], ((n, 2),), (n, 2))
         free = _broadcast(f"chosen[{i}]", rest if chosen is None else chosen[i], ((n, k), (k,)), (n, k))
-        asked.append((task, roll, tilt, free, home if branches is None else int(branches[i])))
+        asked.append((task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], i)))
     paths = [
         JointPath(task, roll, tilt, postures(cell, task, roll, free, branch, tilt), branch)
         for task, roll, tilt, free, branch in asked
     ]
     return choose_turns(cell, paths)
+
+
+def _branch(cell: Cell, value: object, i: int) -> int:
+    branch, most = as_index(value, f"branches[{i}]"), cell.inverse.branch_count - 1
+    if not 0 <= branch <= most:
+        raise InputError(f"there is no branch {branch}", field=f"branches[{i}]", hint=f"0 to {most}")
+    return branch
 
 
 def _broadcast(name: str, value: ArrayLike, shapes: Sequence[tuple[int, ...]], to: tuple[int, ...]) -> Array:

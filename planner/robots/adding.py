@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from planner.base.arguments import as_one_of, as_path
 from planner.base.errors import InputError, OutputError, nearest_name
 from planner.base.extras import missing_extra
 from planner.cell.robot import Robot, read_robot
@@ -48,7 +49,9 @@ def add_robot(
 
     Raises InputError for a URDF that cannot be planned with, and OutputError where files cannot be written.
     """
-    target = None if file is None else Path(file)
+    target = None if file is None else as_path(file, "file")
+    if tip is not None:
+        as_one_of(tip, str, "tip", "the name of a link")
     if target is not None and target.suffix not in (".yaml", ".yml"):
         raise InputError(f"{target} is no name of a robot's file", field="file", hint="for example my_robot.yaml")
     if language is not None and language not in LANGUAGE_NAMES:
@@ -58,7 +61,7 @@ def add_robot(
     if isinstance(urdf, (str, Path)):
         if bodies is not None:
             raise InputError("a URDF has bodies of its own", field="bodies", hint="leave it out")
-        source, fresh = Path(urdf), False
+        source, fresh = as_path(urdf, "urdf"), False
     else:
         from planner.robots.from_model import written_urdf
 

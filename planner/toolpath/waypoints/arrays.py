@@ -28,7 +28,7 @@ def waypoints_of(
     unit: Literal["m", "mm"] = "m",
 ) -> WaypointArrays:
     """See `Toolpath.from_arrays`."""
-    if unit not in TO_SI:
+    if not isinstance(unit, str) or unit not in TO_SI:
         raise InputError(f"must be 'm' or 'mm', not {unit!r}", field="unit")
     x, firsts = _points(points)
     counts = None if firsts is None else np.diff(np.append(firsts, len(x)))
@@ -143,7 +143,9 @@ def _column(name: str, value: Any, count: int, counts: Ints | None) -> Array:
 
 
 def _numbers(name: str, value: Any) -> Array:
-    """An array of real numbers."""
+    """An array of real numbers, none of them masked."""
+    if np.ma.is_masked(value):
+        raise InputError("has masked values", field=name, hint="leave these waypoints out")
     try:
         found = np.asarray(value)
     except ValueError:  # rows of different lengths
