@@ -12,7 +12,7 @@ import pytest
 
 from planner import Toolpath, load, solve
 from planner.base.arrays import Array
-from planner.base.errors import InputError
+from planner.base.errors import InputError, Refusal
 from planner.plan.seal import digest_of
 from planner.problem import Problem
 from planner.toolpath.build import build_toolpath
@@ -202,6 +202,16 @@ def test_other_processes_see_no_arrays() -> None:
     problem = load("peer_cap", toolpath=Toolpath.from_arrays(GOOD, UP))
     with pytest.raises(InputError, match="over: other processes cannot see waypoints from arrays"):
         solve(problem, over=lambda function, pieces: iter(()))
+
+
+@pytest.mark.slow
+def test_what_a_refusal_advises_is_tried_with_the_arrays() -> None:
+    line = np.linspace([0.0, -0.02, 0.06], [0.0, 0.02, 0.06], 41)
+    problem = load("peer_cap", {"cell.bed_mm": [1500, 0, 300]}, toolpath=Toolpath.from_arrays(line, UP))
+    with pytest.raises(Refusal, match="out of the arm's reach") as refused:
+        solve(problem, baseline=False)
+    (hint,) = refused.value.hints
+    assert "cell.bed_mm" in hint and "gives a verified plan" in hint
 
 
 @pytest.mark.slow

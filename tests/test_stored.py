@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 from solved import small_plan, write_small
+from test_nearer import RIM, flat
+from test_pauses import STIFF, helix
 
 from planner import Plan, Toolpath, load, solve, write
 from planner.base.errors import InputError, OutputError
@@ -191,6 +193,19 @@ def test_what_cannot_be_written_is_told_and_leaves_nothing(tmp_path: Path) -> No
     with pytest.raises(OutputError, match="cannot write"):
         small_plan().save(tmp_path / "folder")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+@pytest.mark.slow
+def test_plans_that_are_not_as_their_problem_was_come_back_as_they_are(tmp_path: Path) -> None:
+    """With less clearance than usual, with beads in pieces, and judged for a tolerance."""
+    near = solve(flat(tmp_path, RIM.format(0.9)), baseline=False)
+    pieces = solve(load(helix(tmp_path, 5.0).file, STIFF, "process.split_beads=true"), baseline=False)
+    judged = solve(write_small(tmp_path), tolerance="0.1mm", baseline=False)
+    assert near.nearer is not None and pieces.toolpath.splits and judged.headroom is not None
+    for plan in (near, pieces, judged):
+        loaded = again(plan, tmp_path)
+        assert changed_since(loaded) == () and loaded.verified == plan.verified
+        assert loaded.nearer == plan.nearer and loaded.toolpath.splits == plan.toolpath.splits
 
 
 @pytest.mark.slow(keep=("peer_cap",))
