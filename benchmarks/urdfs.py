@@ -23,7 +23,7 @@ from planner.base.errors import InputError, PlannerError
 from planner.base.shipped import PROBLEMS
 from planner.cell.kinematics.chain import refine
 from planner.cell.robot import Robot, chain_of
-from planner.robots.command import added
+from planner.robots.adding import added
 from planner.robots.files import Cap
 from planner.robots.trial import trial
 

@@ -26,8 +26,9 @@ from planner.resolve.strategies import STRATEGIES
 
 def test_public_names_are_what_they_say() -> None:
     assert planner.__all__ == [
-        "STRATEGIES", "Cell", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice", "Toolpath", "check_term", "load", "plots",
-        "random_samples", "solve", "write",
+        "STRATEGIES", "Cell", "JointPath", "NozzleTask", "OwnStrategy", "OwnTerm", "PathSamples", "Plan", "Problem", "SamplePrice",
+        "Solved", "Toolpath", "add_robot", "check_term", "joint_paths", "load", "plots", "random_samples", "register_strategy",
+        "show", "solve", "solve_all", "write",
     ]  # fmt: skip
     assert set(planner.__all__) <= set(dir(planner))
     assert planner.solve is solve and solve.__module__ == "planner.planning.pipeline"

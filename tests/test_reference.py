@@ -17,7 +17,8 @@ from planner.cell.robot import robot_names
 from planner.cell.robot_file import KEYS
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.problem.fields import LONGEST_NAME, described
-from planner.problem.yaml_file import apply_overrides, parse_yaml, read_problem_file, read_yaml_file
+from planner.problem.overrides import apply_overrides, parse_override
+from planner.problem.yaml_file import parse_yaml, read_problem_file, read_yaml_file
 from planner.reference.command import FILES
 from planner.reference.fields import example_of, meaning, sections, shipped_examples, values
 from planner.reference.generate import TEXTS, main
@@ -116,7 +117,7 @@ WRONG = (
 
 @pytest.mark.parametrize("change", WRONG)
 def test_what_the_loader_refuses_the_schema_refuses(change: str) -> None:
-    data, source = apply_overrides(*read_problem_file(PROBLEMS / "cylinder_logo.yaml"), [change])
+    data, source = apply_overrides(*read_problem_file(PROBLEMS / "cylinder_logo.yaml"), [parse_override(change)])
     seen = not schema("schema").is_valid(plain(data))
     try:
         Problem.model_validate(data, context=source)

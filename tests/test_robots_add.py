@@ -21,7 +21,8 @@ from planner.cell.urdf import Urdf, model_of, parse_urdf
 from planner.export.support import unsupported_in_rapid
 from planner.problem import load_problem
 from planner.robots import survey as surveying
-from planner.robots.command import added, main
+from planner.robots.adding import added
+from planner.robots.command import main
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
 from planner.robots.trial import trial

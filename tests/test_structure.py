@@ -18,10 +18,19 @@ LAYERS = (
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
     "numba": {"base.compiled"},
-    "pinocchio": {"cell.bodies", "cell.carrier", "cell.cell", "cell.robot", "cell.urdf", "verify.executed"},
+    "pinocchio": {
+        "cell.bodies",
+        "cell.carrier",
+        "cell.cell",
+        "cell.robot",
+        "cell.urdf",
+        "robots.adding",
+        "robots.from_model",
+        "verify.executed",
+    },
     "coal": {"robots.touching", "cell.bodies", "verify.bodies", "verify.reread"},
     "ruckig": {"motion.travel"},
-    "shapely": {"toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
+    "shapely": {"plan.stored", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},
@@ -39,6 +48,8 @@ HEAVY = {
     "distributed": {"base.distribution"},
     "requests": {"link"},
     "websocket": {"link"},
+    "pandas": {"plan.frames", "plan.plan"},
+    "xarray": {"plan.frames", "plan.plan"},
     "xacro": {"robots.survey"},
     "xacrodoc": {"robots.survey"},
 }

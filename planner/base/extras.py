@@ -14,6 +14,8 @@ EXTRAS = {
     "dask": "cluster",
     "distributed": "cluster",
     "jupyterlab": "notebooks",
+    "pandas": "tables",
+    "xarray": "tables",
     "lxml": "meshes",
     "ezdxf": "dxf",
     "networkx": "meshes",

@@ -18,7 +18,6 @@ from planner.place.rating import COMFORT, Rating, rate, score_of_paths
 from planner.place.search import Axis, Point, ScoredPoint, lattice, one_by_one, polish, well_apart
 from planner.place.site import ANGLES, Asked, PartPlace, Site, changed_fields, own_site, reach
 from planner.planning.pipeline import try_out
-from planner.problem import load_problem
 from planner.resolve.strategies import STRATEGIES
 
 # ----------------------------------------------------------------------------------------------------
@@ -98,7 +97,7 @@ def _solve(site: Site, piece: tuple[PartPlace, float]) -> PlaceOutcome:
     place, predicted = piece
     problem = site.problem
     settings = [f"{field}={value}" for field, value in changed_fields(problem, place).items()]
-    moved = load_problem(problem.file, [*problem.overrides, *settings])
+    moved = problem.changed(settings)
     try:
         report = try_out(moved, site.toolpath, site.strategy, True)
     except Refusal as refusal:

@@ -6,22 +6,29 @@ SI units and radians, but for metrics, whose names have their units, and columns
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, build_cell
+from planner.plan.frames import data_frame, data_set
+from planner.plan.stored import save, stored_parts
 from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
 from planner.problem.process import signals
 from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
+    import pandas
+    import xarray
+
     from planner.plan.robustness import Robustness
+    from planner.report.inline import InlineScene
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
 
@@ -271,6 +278,23 @@ class Plan:
     nearer: Nearer | None = None
     seal: Mapping[str, str] = field(default_factory=dict)
 
+    def save(self, path: str | Path) -> Path:
+        """Write the whole plan into one file, from which `Plan.load` gives it back to the last bit.
+
+        Raises OutputError where it cannot be written.
+        """
+        return save(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Plan:
+        """The plan that `save` wrote. Its cell is made of its problem and the robots' files again.
+
+        What is not as it was when the plan was verified, its file's numbers or a robot's file, is seen by the seal:
+        `write` verifies such a plan anew. Raises InputError for what is no such file, or of another version.
+        """
+        parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
+        return cls(cell=build_cell(parts["problem"]), **parts)
+
     @property
     def first_bead(self) -> int:
         """Index of the first bead that is laid; not 0 where an interrupted print is resumed."""
@@ -358,11 +382,34 @@ class Plan:
     def table(self) -> NDArray[np.void]:
         """All samples as a structured array (n), with the columns of trajectory.csv, not rounded.
 
-        `plan.table()["x_mm"]` is a column, and `pandas.DataFrame(plan.table())` a data frame. t_s; bead, -1 in
+        `plan.table()["x_mm"]` is a column. t_s; bead, -1 in
         travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit axis ax, ay, az, both in the
         part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad.
         """
         return table_of(self.trajectory, self.joint_names)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The columns of `table` as a data frame; its `attrs` name problem, strategy and verdict.
+
+        Raises InputError without pandas, which the extra `tables` installs.
+        """
+        return data_frame(self)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The columns of `table` along `t_s`, and all joints as `q` along `t_s` and `joint`, with their ranges.
+
+        Raises InputError without xarray, which the extra `tables` installs.
+        """
+        return data_set(self)
+
+    def show(self, height: int = 640) -> InlineScene:
+        """The print in 3-D, played, below a cell of a notebook; elsewhere `plan.show().save("scene.html")` writes the page.
+
+        Raises InputError for a height [px] that is none.
+        """
+        from planner import show  # by the public name: who draws plans is asked only when one is drawn
+
+        return show(self, height)
 
     def summary(self) -> str:
         """A few lines of text: the verdict, and what matters most."""

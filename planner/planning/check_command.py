@@ -86,7 +86,8 @@ def is_quick(problem: Problem) -> bool:
     """Whether one layer of a problem's toolpath is made in a fraction of a second."""
     layers, body = problem.layers, None if problem.part is None else problem.part.body
     if isinstance(layers, WaypointLayersSpec):
-        return _bytes(layers.source.waypoints) <= QUICK_BYTES
+        given = layers.source.waypoints
+        return not isinstance(given, Path) or _bytes(given) <= QUICK_BYTES
     if isinstance(layers, GcodeLayersSpec):
         return _bytes(layers.source.gcode) <= QUICK_BYTES
     if isinstance(layers, WrappedLayersSpec):

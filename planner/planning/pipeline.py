@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
 from planner.base.distribution import Spread
 from planner.base.errors import InputError, Refusal, nearest_name
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
@@ -51,6 +53,8 @@ from planner.planning.short_runs import all_short, may_be_short, with_short_runs
 from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold, other_places
 from planner.problem import Problem, load_problem
+from planner.problem.overrides import overrides_of, printed
+from planner.problem.waypoint_arrays import WaypointArrays
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
@@ -75,14 +79,31 @@ MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel betwee
 WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
 
 
-def load(problem: str | Path, *overrides: str) -> Problem:
-    """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", "layers.count=1")`.
+def load(
+    problem: Problem | str | Path,
+    *overrides: str | Mapping[str, Any],
+    toolpath: WaypointArrays | None = None,
+    **keywords: Any,
+) -> Problem:
+    """Read a problem file, or a shipped problem by its name, such as `load("cylinder_logo", {"layers.count": 1})`.
 
-    overrides: `dotted.key=value` as after `--set`, applied before anything is checked.
-    Raises InputError for whatever is wrong, with its file, line and field. What the problem names (a drawing, a mesh)
-    is not opened yet.
+    problem    a file, a shipped name, or a problem that was read, to be read again with further overrides
+    overrides  `dotted.key=value` as after `--set`, or dictionaries of dotted keys, in the file's units; what is set stands
+               in place of what the file has there. A text that is a path counts from the problem's folder, a `Path` from
+               the current one.
+    toolpath   waypoints of `Toolpath.from_arrays`, in place of the file's layers and part; keys of `layers.source` that
+               waypoints of a file have may be set besides
+    keywords   overrides with `__` for a dot: `load("cylinder_logo", layers__count=1)`
+
+    All are applied before anything is checked. Raises InputError for whatever is wrong, with its file, line and field, or
+    the argument that it came from. What the problem names (a drawing, a mesh) is not opened yet.
     """
-    return load_problem(problem, overrides)
+    changes = overrides_of(overrides, keywords)
+    if toolpath is not None:
+        changes = (printed(toolpath), *changes)
+    if isinstance(problem, Problem):
+        return problem.changed(changes)
+    return load_problem(as_path(problem, "problem"), changes)
 
 
 def solve(
@@ -114,10 +135,13 @@ def solve(
     Raises InputError for wrong input and for what needs more memory than there is, Refusal where there is no plan at all.
     """
     problem = problem if isinstance(problem, Problem) else load(problem)
-    tolerance = _tolerance(tolerance) if isinstance(tolerance, str) else tolerance
-    strategy = _known(strategy or problem.strategy)
-    if not MIN_DT <= dt <= MAX_DT:
+    tolerance = None if tolerance is None else _tolerance(tolerance)
+    strategy = _known(problem.strategy if strategy is None else strategy)
+    first_bead = as_index(first_bead, "first_bead")
+    if not MIN_DT <= as_number(dt, "dt") <= MAX_DT:
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
+    if problem.from_arrays and over is not None:
+        raise InputError("other processes cannot see waypoints from arrays", field="over", hint="leave it out")
     own = _own(terms, strategy, over)
     stages = stages or Stages()
     with stages.stage("load"):
@@ -211,6 +235,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
 
 def _known(strategy: str) -> str:
     """Raises InputError where there is no such strategy."""
+    as_one_of(strategy, str, "strategy", "its name; register_strategy gives one to a function of your own")
     if strategy in STRATEGIES:
         return strategy
     near = nearest_name(strategy, STRATEGIES)
@@ -220,8 +245,11 @@ def _known(strategy: str) -> str:
 
 def _own(terms: Sequence[OwnTerm], strategy: str, over: Spread | None) -> tuple[Own, ...]:
     """A user's terms. Raises InputError for what is no term, and where nothing would ask them."""
+    terms = as_list(terms, "terms", "terms")
     if terms and strategy != DEFAULT:
         raise InputError(f"strategy {strategy} refines nothing", field="terms", hint=f"strategy {DEFAULT} does")
+    if over is not None:
+        check_callable(over, "over")
     if terms and over is not None:
         raise InputError("other processes cannot ask terms of this one", field="terms", hint="leave out over")
     return own_terms(terms)
@@ -232,8 +260,11 @@ def _names_of(terms: Sequence[OwnTerm]) -> dict[str, object]:
     return {"terms": [term.name for term in terms]} if terms else {}
 
 
-def _tolerance(text: str) -> Tolerance:
+def _tolerance(text: Tolerance | str) -> Tolerance:
     """Raises InputError for what is no tolerance."""
+    if isinstance(text, Tolerance):
+        return text
+    as_one_of(text, str, "tolerance", "such as 2mm,1deg")
     try:
         return parse_tolerance(text)
     except ValueError as error:
@@ -558,7 +589,8 @@ def write(plan: Plan, folder: str | Path) -> Plan:
     that was changed since it was verified is verified anew: what is written is judged as it is.
     Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
     """
-    with results_folder(Path(folder), RESULTS_BY) as fresh:
+    as_one_of(plan, Plan, "plan", "what solve gives")
+    with results_folder(as_path(folder, "folder"), RESULTS_BY) as fresh:
         return write_files(plan, fresh)
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from planner.base.errors import Change, Hints, InputError, MovedBy, Refusal
 from planner.base.shipped import PROBLEMS
 from planner.plan import Plan
-from planner.problem import Problem, load_problem
+from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.task import noise_of
@@ -79,7 +79,7 @@ def _told(what: str, found: Plan) -> str:
 def _verified(problem: Problem, fields: tuple[tuple[str, object], ...], plan: PlanOf) -> Plan | None:
     """A verified plan of the problem with fields changed; None where there is none."""
     try:
-        found = plan(load_problem(problem.file, [*problem.overrides, *(_setting(problem, *each) for each in fields)]))
+        found = plan(problem.changed([_setting(problem, *each) for each in fields]))
     except (Refusal, InputError):
         return None
     return found if found.verified else None

@@ -64,6 +64,15 @@ def refusal(reason: str, hint: str | None = None, **context: Any) -> PydanticCus
     return PydanticCustomError("problem", "{reason}", {"reason": reason, "hint": hint, **context})
 
 
+class InMemory:
+    """What only Python can give for a field, and no file; models take it as it is."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate by its class alone."""
+        return core_schema.is_instance_schema(cls)
+
+
 def _truth(value: Any) -> bool:
     if not isinstance(value, bool):
         raise refusal(f"must be true or false, not {describe(value)}", "without quotes")
@@ -182,6 +191,10 @@ def _beside_the_problem(value: Any, info: ValidationInfo) -> Path:
     return source.file.parent / _text(value)
 
 
+def _file_or_arrays(value: Any, info: ValidationInfo) -> Any:
+    return value if isinstance(value, InMemory) else _beside_the_problem(value, info)
+
+
 def _robot(value: Any, info: ValidationInfo) -> str | Path:
     """A robot that ships by its name, or the user's own by its file."""
     text = _text(value)
@@ -250,6 +263,7 @@ def _unit_vector(vector: tuple[float, ...]) -> tuple[float, ...]:
 TEXT = Form(_text, schema={"minLength": 1, "maxLength": LONGEST_TEXT})
 IDENTIFIER = Form(_identifier, schema={"pattern": f"^[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_NAME - 1}}}$"})
 PATH = BeforeValidator(_beside_the_problem)
+PATH_OR_ARRAYS = BeforeValidator(_file_or_arrays)
 ROBOT = BeforeValidator(_robot)
 UNIQUE = AfterValidator(_unique)
 INCREASING = AfterValidator(_increasing)
@@ -353,8 +367,12 @@ def _parts(annotation: Any, shape: str) -> Iterator[tuple[str, Any]]:
     elif origin is dict:
         yield "names", None
         yield from _parts(inner[1], "names")
-    elif annotation not in (NoneType, Ellipsis):
+    elif annotation not in (NoneType, Ellipsis) and not _only_in_memory(annotation):
         yield shape, annotation
+
+
+def _only_in_memory(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, InMemory)
 
 
 def read_value(one: Described, text: str) -> Any:

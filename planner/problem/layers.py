@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, cast, get_args
 
-from pydantic import Discriminator, Tag, model_validator
+from pydantic import Discriminator, Tag, WithJsonSchema, model_validator
 
 from planner.base.errors import nearest_name
 from planner.problem.drawings import (
@@ -27,6 +28,7 @@ from planner.problem.drawings import (
 )
 from planner.problem.fields import (
     PATH,
+    PATH_OR_ARRAYS,
     UNIQUE,
     Form,
     Position,
@@ -52,6 +54,7 @@ from planner.problem.part import (
     unit_key,
 )
 from planner.problem.process import MaterialName, material_key
+from planner.problem.waypoint_arrays import Place, WaypointArrays
 from planner.problem.yaml_file import describe, shorten
 
 CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
@@ -63,6 +66,7 @@ SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 METHODS = ("curved", "planar")
 _POINTS = "file of the section's points, counted from the folder of the problem file"
 
+_A_PATH = {"type": "string", "format": "path"}  # what a file may have there
 _LEAST = 0.5  # of height_mm: thinner layers press the nozzle into those beneath
 
 
@@ -131,7 +135,7 @@ class GcodeLayersSpec(Section):
 class WaypointsSpec(SourceSection):
     """A file of waypoints, each with its normal, that become beads."""
 
-    waypoints: Annotated[Path, PATH] = key(
+    waypoints: Annotated[Path | WaypointArrays, PATH_OR_ARRAYS, WithJsonSchema(_A_PATH)] = key(
         "waypoints",
         "the file, counted from the folder of the problem file: CSV or text, lines x y z nx ny nz, or NPZ with arrays "
         "of these names; columns layer, bead, width and height too, where they are named",
@@ -169,6 +173,26 @@ class WaypointsSpec(SourceSection):
         "where they are noisy and the nozzle may not lean, else 0",
         None,
     )
+
+    @property
+    def name(self) -> str:
+        """What notes call the file, or the arrays."""
+        return self.waypoints.name if isinstance(self.waypoints, Path) else "arrays"
+
+    def place(self, row: int) -> Place:
+        """Where an error says that a waypoint stands: file and line, or its index in the arrays."""
+        given = self.waypoints
+        if isinstance(given, Path):
+            return {"file": given, "line": int(row)}
+        return {"field": f"points{given.index(int(row))}"}
+
+    def rows(self, numbers: Sequence[int], most: int) -> str:
+        """Some waypoints in words, the first few of many: lines of the file, or indices."""
+        given, s = self.waypoints, "s" if len(numbers) > 1 else ""
+        more = ", ..." if len(numbers) > most else ""
+        if isinstance(given, Path):
+            return f"line{s} {', '.join(map(str, numbers[:most]))}{more}"
+        return f"waypoint{s} {', '.join(given.index(row) for row in numbers[:most])}{more}"
 
 
 class WaypointLayersSpec(Section):

@@ -17,13 +17,14 @@ from planner.base.errors import InputError, nearest_name
 from planner.problem.cell import CellSpec, CollisionSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
+from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.part import PartSpec
 from planner.problem.process import ProcessSpec, check_board, check_materials
 from planner.problem.settings import STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
 from planner.problem.yaml_file import (
     Keys,
+    Override,
     ValueSources,
-    apply_overrides,
     describe,
     find_problem,
     parse_yaml,
@@ -202,9 +203,23 @@ class Problem(Section):
         return self._source.file
 
     @property
+    def sources(self) -> ValueSources:
+        """Where each of its values came from."""
+        return self._source
+
+    @property
     def overrides(self) -> tuple[str, ...]:
         """The `dotted.key=value` that were applied to the file."""
-        return self._source.overrides
+        return tuple(override.words for override in self._source.overrides)
+
+    def changed(self, overrides: Sequence[str | Override]) -> Problem:
+        """The problem read once more, with further overrides after its own; raises InputError as `load_problem` does."""
+        return load_problem(self.file, (*self._source.overrides, *overrides))
+
+    @property
+    def from_arrays(self) -> bool:
+        """Whether it prints what stands in no file."""
+        return isinstance(self.layers, WaypointLayersSpec) and not isinstance(self.layers.source.waypoints, Path)
 
     def error(self, field: str, reason: str, hint: str | None = None) -> InputError:
         """Return the error of a field, dotted as in the file (`cell.arm`), with its file and line, or its `--set`.
@@ -215,14 +230,15 @@ class Problem(Section):
         return self._source.error(path, reason, hint)
 
 
-def load_problem(path: str | Path, overrides: Sequence[str] = ()) -> Problem:
+def load_problem(path: str | Path, overrides: Sequence[str | Override] = ()) -> Problem:
     """Read a problem file, or a shipped problem by name, with `dotted.key=value` overrides applied before validation.
 
     Raises one InputError for whatever is wrong: the first mistake by line, and how many more there are. The drawing
     that the problem names is not opened.
     """
     data, source = read_problem_file(find_problem(path))
-    data, source = apply_overrides(data, source, overrides)
+    read = [parse_override(each) if isinstance(each, str) else each for each in overrides]
+    data, source = apply_overrides(data, source, read)
     return _validated(data, source)
 
 

@@ -12,7 +12,7 @@ import os
 import re
 import stat
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,19 +69,33 @@ def yaml_text(value: Any) -> str:
 
 
 @dataclass(frozen=True)
+class Override:
+    """A value that is set besides the file.
+
+    path   of its keys
+    value  plain, as YAML gives it, or what only Python can give
+    label  what an error calls it: `--set process.speed_mm_s`
+    words  it as it would stand after `--set`
+    """
+
+    path: Keys
+    value: Any
+    label: str
+    words: str
+
+
+@dataclass(frozen=True)
 class ValueSources:
     """Where each value of a problem came from.
 
     file        as the user gave it
     lines       path of keys → line (from 1); the empty path is where the document starts
-    overridden  paths that were set from the command line
-    overrides   the same as they were given, `dotted.key=value`
+    overrides   what was set besides, in the order in which it was
     """
 
     file: Path
     lines: dict[Keys, int]
-    overridden: tuple[Keys, ...] = ()
-    overrides: tuple[str, ...] = ()
+    overrides: tuple[Override, ...] = ()
 
     def error(self, path: Keys, reason: str, hint: str | None = None) -> InputError:
         """Return the InputError for the field at `path`, naming its file and line, or the `--set` it came from."""
@@ -89,21 +103,20 @@ class ValueSources:
         override = self.override(path)
         if override is None:
             return InputError(reason, file=self.file, line=self.line(path), field=field or None, hint=hint)
-        name = dotted(override)
-        inside = f": {field}" if len(path) > len(override) and field != name else ""
-        return InputError(reason, field=f"--set {name}{inside}", hint=hint)
+        inside = f": {field}" if len(path) > len(override.path) and field != dotted(override.path) else ""
+        return InputError(reason, field=f"{override.label}{inside}", hint=hint)
 
     def line(self, path: Keys) -> int | None:
         """Line of the field at `path`, or of the nearest section around it that the file has."""
         around = (path[:n] for n in range(len(path), -1, -1))
         return next((self.lines[keys] for keys in around if keys in self.lines), None)
 
-    def override(self, path: Keys) -> Keys | None:
+    def override(self, path: Keys) -> Override | None:
         """Return the override that the value at `path` came from, the last one if several; None if from the file."""
-        for override in reversed(self.overridden):
-            if path[: len(override)] == override:
+        for override in reversed(self.overrides):
+            if path[: len(override.path)] == override.path:
                 return override
-            if path and path not in self.lines and override[: len(path)] == path:  # a section made by --set
+            if path and path not in self.lines and override.path[: len(path)] == path:  # a section made by it
                 return override
         return None
 
@@ -173,44 +186,6 @@ def read_yaml_file(file: Path, empty: str) -> tuple[dict[str, Any], ValueSources
     if not isinstance(data, dict):
         raise complain(f"must be `key: value` lines at the top, not {describe(data)}", lines[()])
     return data, ValueSources(file, lines)
-
-
-def apply_overrides(
-    data: dict[str, Any], source: ValueSources, overrides: Sequence[str]
-) -> tuple[dict[str, Any], ValueSources]:
-    """Set each `dotted.key=value`, the value being YAML; raises InputError that names `--set`.
-
-    Whether the problem has such a key is for the validation to say, which knows the keys.
-    """
-    paths: list[Keys] = []
-    for override in overrides:
-        key, equals, text = override.partition("=")
-        path = tuple(part.strip() for part in key.split("."))
-        name = f"--set {dotted(path)}"
-
-        def complain(reason: str, line: int | None, hint: str | None, name: str = name) -> InputError:
-            return InputError(reason, field=name, hint=hint)
-
-        if not equals or not all(path):
-            reason, hint = "is not of the form dotted.key=value", "for example --set process.speed_mm_s=30"
-            raise InputError(reason, field=f"--set {shorten(override)}", hint=hint)
-        if len(path) > DEEPEST_NESTING:
-            raise complain("has too many dots", None, None)
-        if len(text) > LARGEST_FILE:
-            raise complain("is larger than 1 MB", None, None)
-        data = _put(data, path, parse_yaml(text, complain, {}), complain)
-        paths.append(path)
-    return data, ValueSources(source.file, source.lines, tuple(paths), tuple(overrides))
-
-
-def _put(data: Any, path: tuple[str, ...], value: Any, complain: Complaint) -> dict[str, Any]:
-    """Return `data` with the value at `path` replaced, or put there."""
-    if data is None:
-        data = {}
-    if not isinstance(data, dict):
-        raise complain(f"`{path[0]}` would stand below {describe(data)}, which has no keys", None, None)
-    inner = value if len(path) == 1 else _put(data.get(path[0]), path[1:], value, complain)
-    return {**data, path[0]: inner}
 
 
 def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:

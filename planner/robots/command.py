@@ -5,22 +5,17 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from rich.console import Console
 
 from planner.base.command_line import Command, exit_code, one_of, yaml_file
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.cell import robots_command
-from planner.cell.robot import Robot, read_robot
-from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.planning.pipeline import write
 from planner.problem.settings import LANGUAGE_NAMES
-from planner.robots.files import robot_text
-from planner.robots.survey import Survey, expanded, key_of, survey
-from planner.robots.touching import NOTHING, Touching, touching
+from planner.robots.adding import added
 from planner.robots.trial import Trial, trial
 
 
@@ -63,52 +58,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return exit_code(lambda: _add(options, errors), partial(errors.print, markup=False, soft_wrap=True))
 
 
-@dataclass(frozen=True)
-class Added:
-    """A robot whose file was written: what was found of it, of its bodies, and the robot as it is read."""
-
-    found: Survey
-    touch: Touching
-    robot: Robot
-
-
-def added(urdf: Path, file: Path | None, tip: str | None = None, language: str | None = None) -> tuple[Path, Added]:
-    """Write a robot's file from its URDF, named after the robot in this folder if no name is given; returns where.
-
-    Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
-    nothing is.
-    """
-    read, text = _read(urdf)
-    found = survey(read, tip)
-    file = file or Path(f"{key_of(found.name)}.yaml")
-    if not file.parent.is_dir():
-        raise OutputError(f"there is no folder {file.parent}")
-    if file.exists():
-        raise OutputError(f"{file} is there already, and stays as it is: --out gives another name")
-    source = urdf
-    if text is not None:
-        # beside the xacro file, from where its meshes are found
-        source = urdf.with_suffix(".urdf")
-        if source.exists() and source.read_text(encoding="utf-8") != text:
-            raise OutputError(
-                f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
-            )
-    try:
-        if text is not None:
-            source.write_text(text, encoding="utf-8")
-        # plainly first: what its bodies are like is looked at as it is read
-        file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
-        robot = read_robot(file)
-        touch = touching(read, robot)
-        file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
-        return file, Added(found, touch, read_robot(file))
-    except (OSError, InputError) as error:
-        file.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
-        raise
-
-
 def _add(options: argparse.Namespace, errors: Console) -> int:
     say = partial(errors.print, markup=False, soft_wrap=True)
     file, made = added(options.urdf, options.out, options.tip, options.language)
@@ -121,16 +70,6 @@ def _add(options: argparse.Namespace, errors: Console) -> int:
         return EXIT_VERIFIED
     say("planning a spiral on a cap, first in one place, then in others …")
     return _told(trial(made.robot, file, made.found.outwards), file, say)
-
-
-def _read(path: Path) -> tuple[Urdf, str | None]:
-    """The URDF, and its text where xacro made it."""
-    if path.suffix != ".xacro":
-        return read_urdf(path), None
-    if not path.is_file():
-        raise InputError("there is no such file", file=path)
-    text = expanded(path)
-    return parse_urdf(text.encode(), path.with_suffix(".urdf")), text
 
 
 def _told(made: Trial, file: Path, say: partial[None]) -> int:

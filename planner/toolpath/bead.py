@@ -6,13 +6,15 @@ drawn: nothing is planned or checked with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.problem.waypoint_arrays import WaypointArrays
 
 _AROUND = 96  # corners of a circle
 _DOWN = 24  # rings of a dome
@@ -196,6 +198,33 @@ class Toolpath:
     splits: tuple[Split, ...] = ()
     left_out: tuple[Array, ...] = ()
     told: Told = Told()
+
+    @staticmethod
+    def from_arrays(
+        points: ArrayLike | Sequence[ArrayLike],
+        normals: ArrayLike | Sequence[ArrayLike],
+        *,
+        bead: ArrayLike | None = None,
+        layer: ArrayLike | Sequence[ArrayLike] | None = None,
+        width: ArrayLike | Sequence[ArrayLike] | None = None,
+        height: ArrayLike | Sequence[ArrayLike] | None = None,
+        unit: Literal["m", "mm"] = "m",
+    ) -> WaypointArrays:
+        """Waypoints from arrays, to be planned with `solve(load(problem, toolpath=...))`: they are laid as those of a file.
+
+        points   (n, 3) of the nozzle's tip, part frame, or a list of such arrays, one for each bead
+        normals  (n, 3) of the surface, out of the part, of any length, or one (3) for all; in a list as points
+        bead     (n) whole numbers: a bead ends where it changes; without it, where a step is longer than three median ones
+        layer    (n), or one for each bead of a list: whole numbers; without it, layers are found from where beads lie
+        width, height (n), one for each bead of a list, or one for all; without them, those of process.bead
+        unit     of points, width and height: "m" or "mm"
+
+        Corners are rounded, noise smoothed and crumbs left out as the problem's process and layers.source say.
+        Raises InputError that names argument, index and shape.
+        """
+        from planner.toolpath.waypoints.arrays import waypoints_of
+
+        return waypoints_of(points, normals, bead=bead, layer=layer, width=width, height=height, unit=unit)
 
     @property
     def length(self) -> float:

@@ -71,8 +71,12 @@ def file_normals(judged: Judged) -> Findings:
 
 def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
     """Points [m] and outward unit normals (n, 3) in the part frame, as they stand in the file."""
-    stamp = spec.waypoints.stat()
-    x, n = _read(spec.waypoints, spec.unit, stamp.st_mtime_ns, stamp.st_size)
+    given = spec.waypoints
+    if isinstance(given, Path):
+        stamp = given.stat()
+        x, n = _read(given, spec.unit, stamp.st_mtime_ns, stamp.st_size)
+    else:
+        x, n = given.points, given.normals
     x, n = _TO_SI[spec.unit] * x, n / np.linalg.norm(n, axis=1)[:, None]
     if spec.up == "y":
         x, n = (np.stack([a[:, 0], -a[:, 2], a[:, 1]], axis=1) for a in (x, n))

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -19,7 +18,7 @@ from planner.base.errors import InputError
 from planner.base.geometry import angles_between, arc_lengths, subdivided
 from planner.base.processes import of_each
 from planner.problem import Problem
-from planner.problem.layers import WaypointLayersSpec
+from planner.problem.layers import WaypointLayersSpec, WaypointsSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
@@ -46,14 +45,14 @@ class NoSurface(InputError):
     """Waypoints that lie on no surface: what they print, if anything, are struts in space."""
 
 
-def check_waypoints(path: Waypoints, file: Path, width: float) -> None:
-    """Raise InputError, with file and line, for a path that is no bead of this width [m]."""
-    _check_length(path, file, width)
-    _check_normals(path, file)
+def check_waypoints(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
+    """Raise InputError, with the place, for a path that is no bead of this width [m]."""
+    _check_length(path, spec, width)
+    _check_normals(path, spec)
 
 
-def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
-    """Raise InputError, with file and line, where a rounded bead would be higher than wide."""
+def check_section(path: Waypoints, process: ProcessSpec, spec: WaypointsSpec) -> None:
+    """Raise InputError, with the place, where a rounded bead would be higher than wide."""
     if process.section != "rounded" or (path.width is None and path.height is None):
         return
     width = np.broadcast_to(process.bead.width if path.width is None else path.width, path.lines.shape)
@@ -62,39 +61,36 @@ def check_section(path: Waypoints, process: ProcessSpec, file: Path) -> None:
         i = int(np.argmax(width < height))
         raise InputError(
             f"a rounded bead cannot be {width[i] * 1e3:g} mm wide and {height[i] * 1e3:g} mm high",
-            file=file,
-            line=int(path.lines[i]),
+            **spec.place(path.lines[i]),
             hint="at least as wide as high, or process.bead.section: rectangle",
         )
 
 
-def _check_length(path: Waypoints, file: Path, width: float) -> None:
+def _check_length(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
     """At least as long as its bead is wide."""
     drawn = length(path.points)
     if drawn < width:
         raise InputError(
             f"{path.name}, which begins here, is only {drawn * 1e3:.4f} mm long",
-            file=file,
-            line=int(path.lines[0]),
+            **spec.place(path.lines[0]),
             hint=f"a path is at least as long as its bead is wide, {width * 1e3:g} mm; layers.source.leave_out_share says how "
             "much may be left out",
         )
 
 
-def _check_normals(path: Waypoints, file: Path) -> None:
+def _check_normals(path: Waypoints, spec: WaypointsSpec) -> None:
     """A normal that jumps to the other side belongs to no surface, and half way there is none at all."""
     turn = np.degrees(angles_between(path.normals[:-1], path.normals[1:]))
     i = int(np.argmax(turn > MOST_TURN))
     if turn[i] > MOST_TURN:
         raise InputError(
             f"the normal turns by {turn[i]:.0f} degrees from the waypoint before to this one",
-            file=file,
-            line=int(path.lines[i + 1]),
+            **spec.place(path.lines[i + 1]),
             hint=f"normals point out of the part, and turn by at most {MOST_TURN:g} degrees",
         )
 
 
-def check_slope(path: Waypoints, file: Path) -> None:
+def check_slope(path: Waypoints, spec: WaypointsSpec) -> None:
     """A path may climb to its next layer, but not run along its normals throughout. Raises NoSurface."""
     way, middle = np.diff(path.points, axis=0), path.normals[:-1] + path.normals[1:]
     length = np.linalg.norm(way, axis=1)
@@ -103,15 +99,14 @@ def check_slope(path: Waypoints, file: Path) -> None:
     if 2.0 * float(length[steep].sum()) > float(length.sum()):
         raise NoSurface(
             f"{path.name} runs along its normals, not along a surface",
-            file=file,
-            line=int(path.lines[int(np.argmax(steep))]),
+            **spec.place(path.lines[int(np.argmax(steep))]),
             hint="nx ny nz is the normal of the surface, not the direction of the path; of columns and struts in space, which "
             f"lie on none, it is against the nozzle: {SPATIAL}",
         )
 
 
-def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> None:
-    """Raise NoSurface, with file and line, where the nozzle would lay the path's bead inside the part.
+def check_clear(path: Waypoints, bead: Bead, surface: Surfels, spec: WaypointsSpec) -> None:
+    """Raise NoSurface, with the place, where the nozzle would lay the path's bead inside the part.
 
     surface: what the first layer lies on and all that is printed before the bead. Inside is where passes contradict
     each other: what one lies on is where another one runs.
@@ -131,8 +126,7 @@ def check_clear(path: Waypoints, bead: Bead, surface: Surfels, file: Path) -> No
         hint += f"; struts in space: {SPATIAL}"
         raise NoSurface(
             f"near here {path.name} runs {depth}in what another pass lies on",
-            file=file,
-            line=int(path.lines[nearest]),
+            **spec.place(path.lines[nearest]),
             hint=hint,
         )
 
@@ -143,11 +137,10 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     Where the problem does not say which, they are on a surface if there is one.
     """
     process, kind = problem.process, spec.source.kind
-    file = spec.source.waypoints
     read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), process.bead.width)
     widths = [process.bead.width if path.width is None else float(path.width.min()) for path in read.beads]
     for path, width in zip(read.beads, widths, strict=True):
-        check_waypoints(path, file, width)
+        check_waypoints(path, spec.source, width)
     if kind == "spatial":
         return in_space(problem, spec, read)
     try:
@@ -155,17 +148,18 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
     except NoSurface as none:
         if kind == "surface":
             raise
-        place = f" (line {none.line})" if none.line is not None else ""
+        at = none.field if none.line is None else f"line {none.line}"
+        place = "" if at is None else f" ({at})"
         why = f"taken for struts in space, since {none.reason}{place}; layers.source.kind says it otherwise"
-        return in_space(problem, spec, replace(read, notes=(*read.notes, f"{file.name}: {why}")))
+        return in_space(problem, spec, replace(read, notes=(*read.notes, f"{spec.source.name}: {why}")))
 
 
 def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile, widths: Sequence[float]) -> Toolpath:
     """Beads on what lies beneath them. Raises NoSurface where the waypoints contradict one."""
-    process, file = problem.process, spec.source.waypoints
+    process = problem.process
     for path in read.beads:
-        check_slope(path, file)
-        check_section(path, process, file)
+        check_slope(path, spec.source)
+        check_section(path, process, spec.source)
     # a nozzle that may lean passes over noise by itself
     unasked = UNASKED if process.cones.tilt == 0.0 else 0.0
     paths, told = calm_normals(read.beads, spec.source.smoothing, unasked)
@@ -179,9 +173,9 @@ def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile
     laid, surface = with_layers(laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
     for i, (path, bead) in enumerate(zip(paths, laid, strict=True)):
-        check_clear(path, bead, surface.before(i), file)
+        check_clear(path, bead, surface.before(i), spec.source)
     if told:
-        notes = [f"{file.name}: {told}"]
+        notes = [f"{spec.source.name}: {told}"]
     else:
         notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
     return Toolpath(laid, surface, notes=(*read.notes, *notes), told=Told(read.left_out))
@@ -199,7 +193,7 @@ def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> 
     sizes = [(usual, usual) if path.width is None else (path.width, path.width) for path in paths]
     laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
-    notes = [f"{spec.source.waypoints.name}: {told}"] if told else []
+    notes = [f"{spec.source.name}: {told}"] if told else []
     return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
@@ -276,10 +270,9 @@ def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: f
     except TooRough as error:
         raise InputError(
             f"{path.name} is too rough from here on: no smooth curve keeps process.corner_tolerance_mm",
-            file=spec.source.waypoints,
-            line=int(path.lines[error.waypoint]),
+            **spec.source.place(path.lines[error.waypoint]),
             hint="choose a greater tolerance, or smooth the waypoints",
         ) from None
-    hint = f"choose a smaller tolerance, or smooth the waypoints from line {path.lines[0]} on"
+    hint = f"choose a smaller tolerance, or smooth the waypoints from {spec.source.rows([path.lines[0]], 1)} on"
     check_size(problem, path.name, length(path.points), length(curve.points), hint)
     return curve

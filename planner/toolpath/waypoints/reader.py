@@ -25,6 +25,7 @@ from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
 from planner.base.geometry import arc_lengths
 from planner.problem.layers import WaypointsSpec
+from planner.problem.waypoint_arrays import WaypointArrays
 
 NEEDED = ("x", "y", "z", "nx", "ny", "nz")
 OPTIONAL = ("layer", "bead", "width", "height")
@@ -49,10 +50,10 @@ _AGREE = 0.3  # if the sum of their normals is at least this long, for each of t
 _OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative of this
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
-_SHORTEST_NORMAL = 1e-6
+SHORTEST_NORMAL = 1e-6
 _FEWER = "thin them out, or print the part in several files"
 _SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
-_TO_SI = {"mm": 1e-3, "m": 1.0}
+TO_SI = {"mm": 1e-3, "m": 1.0}
 
 
 @dataclass(frozen=True)
@@ -344,23 +345,30 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
     jump is longer than a `split_mm` that is given. Points that repeat the one before are left out, and crumbs, if they are
     few: see `_without_crumbs`; beads are of this width [m] where the file does not say.
     `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole.
-    Raises InputError with file and line for a line that is no waypoint.
+    Raises InputError with file and line, or the index in the arrays, for what is no waypoint.
     """
-    path = spec.waypoints
-    complain = partial(InputError, file=path) if where is None else where
-    columns = read_columns(path, spec.unit, complain)
-    _check(columns, path, spec.unit)
+    given = spec.waypoints
+    complain: Complaint
+    if isinstance(given, WaypointArrays):
+        complain = partial(InputError, field="points")
+        columns = columns_of(given)
+    else:
+        complain = partial(InputError, file=given) if where is None else where
+        columns = read_columns(given, spec.unit, complain)
+    _check(columns, spec)
     rows = _rows(columns, spec)
 
     keep = np.concatenate([distinct(rows[part].points) for part in _parts(_changes(rows))])
     repeated = int((~keep).sum())
     rows = rows[keep]
     if len(rows.points) < 2:
-        raise complain(f"{path.name} holds no two different waypoints")
+        raise complain(
+            f"{'there are' if isinstance(given, WaypointArrays) else f'{spec.name} holds'} no two different waypoints"
+        )
     split = _greatest_step(rows, spec)
-    parts, crumbs, lost = _without_crumbs(_split(rows, split), spec.crumbs, width)
+    parts, crumbs, lost = _without_crumbs(_split(rows, split), spec, width)
     for part in parts.values():
-        _check_alone(part, split, path)
+        _check_alone(part, split, spec)
     beads = [
         Waypoints(
             f"path {i}", cut.points, cut.normals, cut.lines, cut.width, cut.height,
@@ -368,21 +376,28 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
         )
         for i, cut in parts.items()
     ]  # fmt: skip
-    left_out = [f"{path.name}: {crumbs}"] if crumbs else []
-    return WaypointFile(tuple(beads), (*_notes(path, columns.unused, repeated), *left_out), lost)
+    left_out = [f"{spec.name}: {crumbs}"] if crumbs else []
+    return WaypointFile(tuple(beads), (*_notes(spec.name, columns.unused, repeated), *left_out), lost)
 
 
-def _notes(path: Path, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
+def columns_of(arrays: WaypointArrays) -> Columns:
+    """The columns that a file of the same waypoints would have, in metres; `lines` are their indices, from 0."""
+    values = dict(zip(NEEDED, (*arrays.points.T, *arrays.normals.T), strict=True))
+    values |= {name: column for name in OPTIONAL if (column := getattr(arrays, name)) is not None}
+    return Columns(values, np.arange(len(arrays), dtype=np.int64), ())
+
+
+def _notes(name: str, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
     if repeated:
         what = "waypoint that repeats" if repeated == 1 else "waypoints that repeat"
-        yield f"{path.name}: {repeated} {what} the one before left out"
+        yield f"{name}: {repeated} {what} the one before left out"
     if unused:
-        yield f"{path.name}: columns that are not used: {', '.join(name[:40] for name in unused[:8])}"
+        yield f"{name}: columns that are not used: {', '.join(each[:40] for each in unused[:8])}"
 
 
 def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
     """The file's columns in SI units, turned and moved into the part frame."""
-    scale, values = _TO_SI[spec.unit], columns.values
+    scale, values = TO_SI[spec.unit], columns.values
     points = scale * np.column_stack([values[name] for name in ("x", "y", "z")])
     normals = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
     points, normals = (_upright(a, spec.up) for a in (points, normals))
@@ -398,15 +413,16 @@ def _upright(vectors: Array, up: str) -> Array:
     return np.column_stack({"x": (y, z, x), "y": (x, -z, y), "z": (x, y, z)}[up])
 
 
-def _check(columns: Columns, path: Path, unit: str) -> None:
+def _check(columns: Columns, spec: WaypointsSpec) -> None:
     """Raise InputError for the first row whose numbers are no waypoint's."""
-    values, scale = columns.values, _TO_SI[unit]
+    unit = spec.unit
+    values, scale = columns.values, TO_SI[unit]
     table = np.column_stack(list(values.values()))
     bad = ~np.isfinite(table).all(axis=1)
     place = np.column_stack([values[name] for name in ("x", "y", "z")])
     normal = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
     bad |= ~(scale * np.abs(place).max(axis=1) <= 1e-3 * FARTHEST)
-    bad |= ~(np.abs(normal).max(axis=1) > _SHORTEST_NORMAL)
+    bad |= ~(np.abs(normal).max(axis=1) > SHORTEST_NORMAL)
     for name in [name for name in _SIZED if name in values]:
         bad |= ~((scale * values[name] >= SIZES[0]) & (scale * values[name] <= SIZES[1]))
     for name in [name for name in _COUNTED if name in values]:
@@ -415,14 +431,17 @@ def _check(columns: Columns, path: Path, unit: str) -> None:
         return
     i = int(np.argmax(bad))
     row = {name: float(column[i]) for name, column in values.items()}
-    wrong = partial(InputError, file=path, line=int(columns.lines[i]))
+
+    def wrong(reason: str, hint: str | None = None) -> InputError:
+        return InputError(reason, **spec.place(columns.lines[i]), hint=hint)
+
     for value in row.values():
         if not math.isfinite(value):
             raise wrong(f"'{value:g}' is not a number that a waypoint can have")
     if scale * np.abs(place[i]).max() > 1e-3 * FARTHEST:
         hint = f"points are in {unit}; layers.source.unit is mm or m"
         raise wrong(f"the point is farther than {FARTHEST / 1e3:g} m from the origin", hint=hint)
-    if np.abs(normal[i]).max() <= _SHORTEST_NORMAL:
+    if np.abs(normal[i]).max() <= SHORTEST_NORMAL:
         raise wrong("the normal is zero", hint="nx ny nz is a direction, of any length")
     for name in [name for name in _SIZED if name in row]:
         if not SIZES[0] <= scale * row[name] <= SIZES[1]:
@@ -463,7 +482,7 @@ def _split(rows: _Rows, split: float) -> list[_Rows]:
     return [rows[part] for part in _parts(np.union1d(_changes(rows), np.flatnonzero(step > split) + 1))]
 
 
-def _check_alone(part: _Rows, split: float, path: Path) -> None:
+def _check_alone(part: _Rows, split: float, spec: WaypointsSpec) -> None:
     """Raise InputError for a waypoint that is all of its bead."""
     if len(part.points) > 1:
         return
@@ -471,10 +490,10 @@ def _check_alone(part: _Rows, split: float, path: Path) -> None:
     if part.bead is None and part.layer is None:
         reason = f"this waypoint stands alone, more than {split * 1e3:g} mm from those beside it"
         hint = "leave it out, or choose a greater layers.source.split_mm or leave_out_share"
-    raise InputError(reason, file=path, line=int(part.lines[0]), hint=hint)
+    raise InputError(reason, **spec.place(part.lines[0]), hint=hint)
 
 
-def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple[dict[int, _Rows], str, float]:
+def _without_crumbs(parts: Sequence[_Rows], spec: WaypointsSpec, width: float) -> tuple[dict[int, _Rows], str, float]:
     """Parts of a file by their number from 1 on, without crumbs, what was changed in words, and the share that is left out.
 
     Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
@@ -482,6 +501,7 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
     more than a share of the length, nothing is changed: the file may mean something else. A single such normal loses
     nothing, and is turned round however short the file is, unless the share is zero.
     """
+    share = spec.crumbs
     everything = dict(enumerate(parts, 1))
     steps = np.concatenate([np.linalg.norm(np.diff(part.points, axis=0), axis=1) for part in parts])
     if not len(steps):
@@ -506,7 +526,7 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
     if not kept or lost - spared > share * total:
         return everything, "", 0.0
     told = [
-        f"{what} {len(lines)} {one if len(lines) == 1 else many} ({_lines(lines)})"
+        f"{what} {len(lines)} {one if len(lines) == 1 else many} ({spec.rows(lines, _NAMED_LINES)})"
         for lines, what, one, many in (
             (alone, "left out", "waypoint that stands alone", "waypoints that stand alone"),
             (short, "left out", "path shorter than its bead is wide", "paths shorter than their beads are wide"),
@@ -517,12 +537,6 @@ def _without_crumbs(parts: Sequence[_Rows], share: float, width: float) -> tuple
     if not told:
         return kept, "", 0.0
     return kept, f"{'; '.join(told)}: {lost / total:.2%} of the length", (lost - usual * len(stray)) / total
-
-
-def _lines(numbers: Sequence[int]) -> str:
-    """Lines of a file in words, the first few of many."""
-    words = ", ".join(str(number) for number in numbers[:_NAMED_LINES])
-    return f"line{'s' if len(numbers) > 1 else ''} {words}{', ...' if len(numbers) > _NAMED_LINES else ''}"
 
 
 def _other_way(normals: Array) -> NDArray[np.bool_]:

@@ -72,8 +72,12 @@ def _moves(source: GcodeSpec) -> Segments | NotRead:
 
 def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
     """The steps from waypoint to waypoint."""
-    stamp = source.waypoints.stat()
-    points = _table(source.waypoints, stamp.st_mtime_ns, stamp.st_size)
+    given = source.waypoints
+    if isinstance(given, Path):
+        stamp = given.stat()
+        points = _table(given, stamp.st_mtime_ns, stamp.st_size)
+    else:
+        points = given.points
     if isinstance(points, NotRead):
         return points
     x = points * (1e-3 if source.unit == "mm" else 1.0)

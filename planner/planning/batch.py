@@ -1,0 +1,154 @@
+"""Many problems, one after another or in several processes: what one of them is refused for is its result."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from planner.base.arguments import as_list, as_number, check_callable, kind_of
+from planner.base.distribution import MOST_JOBS, spread
+from planner.base.errors import InputError, PlannerError
+from planner.plan import Plan
+from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import solve
+from planner.problem import Problem
+from planner.problem.settings import STRATEGY_NAMES
+from planner.resolve.own_terms import OwnTerm
+
+Asked = Problem | str | Path
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What became of one problem of many.
+
+    problem  as it was given
+    plan     its plan, verified or not; None where there is none
+    error    why there is none: InputError, Refusal, or what ended its process
+    seconds  that it took
+    """
+
+    problem: Asked
+    plan: Plan | None
+    error: PlannerError | None
+    seconds: float
+
+    @property
+    def verified(self) -> bool:
+        """Whether there is a plan, and every check of it holds."""
+        return self.plan is not None and self.plan.verified
+
+    @property
+    def name(self) -> str:
+        """The problem's name, or what was given where it could not be read."""
+        if self.plan is not None:
+            return self.plan.name
+        return self.problem.name if isinstance(self.problem, Problem) else str(self.problem)
+
+    def __repr__(self) -> str:
+        return f"<Solved {self.name}: no plan: {self.error}>" if self.plan is None else f"<Solved {self.plan!r}>"
+
+
+@dataclass(frozen=True)
+class _Item:
+    """What another process needs: a problem, options, and where its plan is to be saved; no file in this one."""
+
+    problem: Asked
+    strategy: str | None
+    dt: float
+    tolerance: str | None
+    baseline: bool
+    terms: tuple[OwnTerm, ...]
+    file: Path | None
+
+
+@dataclass(frozen=True)
+class _Done:
+    plan: Plan | Path | None
+    error: PlannerError | None
+    seconds: float
+
+
+def solve_all(
+    problems: Sequence[Asked],
+    strategy: str | None = None,
+    *,
+    dt: float = DEFAULT_DT,
+    tolerance: str | None = None,
+    baseline: bool = True,
+    terms: Sequence[OwnTerm] = (),
+    jobs: int = 1,
+    progress: bool = True,
+    done: Callable[[Solved], object] | None = None,
+) -> tuple[Solved, ...]:
+    """Solve many problems as `solve` does each; what has no plan does not end the others.
+
+    problems  each as `solve` takes it
+    strategy, dt, tolerance, baseline, terms  for all, as in `solve`
+    jobs      processes, started afresh; a script that asks for several does so below `if __name__ == "__main__":`
+    progress  whether a bar on stderr shows how many are done, where that is a terminal or a notebook
+    done      is told what became of each problem as soon as it is known, in the order in which they are done
+
+    Returns what became of each, in the order of the problems. Raises InputError for what is wrong with the arguments.
+    """
+    if isinstance(problems, (str, Path, Problem)):
+        raise InputError("must be a list of problems", field="problems", hint="solve takes one of them")
+    given = as_list(problems, "problems", "problems")
+    as_number(dt, "dt")
+    if done is not None:
+        check_callable(done, "done")
+    for i, problem in enumerate(given):
+        if not isinstance(problem, (str, Path, Problem)):
+            hint = "a file, a shipped name, or what load gives"
+            raise InputError(f"is {kind_of(problem)}", field=f"problems[{i}]", hint=hint)
+    if type(jobs) is not int or not 1 <= jobs <= MOST_JOBS:
+        raise InputError(f"{jobs!r} is not a number of processes", field="jobs", hint=f"1 to {MOST_JOBS}")
+    if jobs > 1 and terms:
+        raise InputError("other processes cannot ask terms of this one", field="terms", hint="jobs=1")
+    if jobs > 1 and strategy is not None and strategy not in STRATEGY_NAMES:
+        raise InputError(f"other processes do not know {strategy!r}", field="strategy", hint="jobs=1")
+    found: dict[int, Solved] = {}
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=console,
+        disable=not progress or not (console.is_terminal or console.is_jupyter),
+    )
+    with tempfile.TemporaryDirectory(prefix="beadwise-") as folder, bar:
+        shown = bar.add_task("solved", total=len(given))
+        files = [Path(folder) / f"{i}.npz" if jobs > 1 else None for i in range(len(given))]
+        items = [
+            _Item(problem, strategy, dt, tolerance, baseline, tuple(terms), file)
+            for problem, file in zip(given, files, strict=True)
+        ]
+        for i, outcome in spread(_solved, items, jobs):
+            if isinstance(outcome, PlannerError):  # its process died
+                outcome = _Done(None, outcome, 0.0)
+            plan = Plan.load(outcome.plan) if isinstance(outcome.plan, Path) else outcome.plan
+            found[i] = Solved(given[i], plan, outcome.error, outcome.seconds)
+            bar.update(shown, advance=1, description=found[i].name)
+            if done is not None:
+                done(found[i])
+    return tuple(found[i] for i in range(len(given)))
+
+
+def _solved(item: _Item) -> _Done:
+    """A problem's plan, saved where that is asked for, or why there is none."""
+    begun, plan, error = time.perf_counter(), None, None
+    try:
+        plan = solve(
+            item.problem, item.strategy, item.dt, tolerance=item.tolerance, baseline=item.baseline, terms=item.terms
+        )
+    except PlannerError as refused:
+        error = refused
+    saved = plan if plan is None or item.file is None else plan.save(item.file)
+    return _Done(saved, error, time.perf_counter() - begun)

@@ -1,0 +1,156 @@
+"""Strategies of a user's own: how they join those of the planner, and what they are asked and must answer.
+
+What a strategy answers is timed, travelled between and verified as that of any other; what it answers wrongly is told here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planner.base.arguments import as_index, as_list, as_one_of, check_callable
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.cell.cell import Cell
+from planner.collision.scene import Obstacles
+from planner.problem.settings import STRATEGY_NAMES, ResolveSpec
+from planner.resolve.joint_path import JointPath, choose_turns, postures
+from planner.resolve.strategies import STRATEGIES
+from planner.toolpath.task import NozzleTask
+
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
+
+
+class OwnStrategy(Protocol):
+    """A way to decide what beads leave free; any function with these arguments.
+
+    cell       the robots, their kinematics and limits
+    tasks      one for each bead in print order, with its run-in and run-out: what the nozzle has to follow
+    settings   `problem.resolve`
+    obstacles  what postures are to be clear of, see `obstacles.margins`; verification looks at it in any case
+
+    Answers a `JointPath` for each task, in their order, such as `joint_paths` makes. Raises Refusal where there is none.
+    """
+
+    def __call__(
+        self, cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles
+    ) -> Sequence[JointPath]:
+        """Joint paths of all beads."""
+        ...
+
+
+def register_strategy(name: str, strategy: OwnStrategy) -> None:
+    """Have `solve(problem, strategy=name)` plan with a strategy of one's own; it then stands in STRATEGIES.
+
+    name: a letter, then letters, digits or _; one of one's own that was registered before is replaced
+    Raises InputError for a name that is none, or the planner's own, and for what cannot be called.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        hint = "a letter, then letters, digits or _, at most 32 characters in all"
+        raise InputError(f"{name!r} is no name of a strategy", field="name", hint=hint)
+    if name in STRATEGY_NAMES:
+        raise InputError(f"{name} is a strategy of the planner's own", field="name", hint=f"for example my_{name}")
+    check_callable(strategy, "strategy")
+
+    def checked(
+        cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles
+    ) -> tuple[JointPath, ...]:
+        return _looked_at(name, strategy(cell, tasks, settings, obstacles), cell, tasks)
+
+    STRATEGIES[name] = checked
+
+
+def joint_paths(
+    cell: Cell,
+    tasks: Sequence[NozzleTask],
+    rolls: Sequence[ArrayLike],
+    tilts: Sequence[ArrayLike] | None = None,
+    chosen: Sequence[ArrayLike] | None = None,
+    branches: Sequence[int] | None = None,
+) -> tuple[JointPath, ...]:
+    """Joint paths that hold tasks exactly, for what they leave free; whole turns are chosen so that travel is short.
+
+    rolls     for each task: roll (n) about the nozzle's axis at its samples [rad], or one for all
+    tilts     for each task: rotation vectors (n, 2) of the axis in the task's frames [rad]; the axis on the normal, if not given
+    chosen    for each task: joints (n, k) that are chosen and not solved for (`cell.chosen`: a table, a rail, an elbow), or
+              (k) for all samples; where they rest, if not given
+    branches  for each task: branch of the inverse kinematics; that of the home posture, if not given
+
+    Raises Refusal, with the place, where a pose is out of reach or outside a joint's range; InputError for wrong shapes.
+    """
+    as_one_of(cell, Cell, "cell", "what a strategy is given")
+    tasks = as_list(tasks, "tasks", "tasks")
+    for i, task in enumerate(tasks):
+        as_one_of(task, NozzleTask, f"tasks[{i}]", "what a strategy is given")
+    if not tasks:
+        return ()
+    na, k = len(cell.arm), len(cell.chosen)
+    home = int(cell.inverse.branches(cell.home[None, :na])[0])
+    for name, given in (("rolls", rolls), ("tilts", tilts), ("chosen", chosen), ("branches", branches)):
+        if given is not None or name == "rolls":
+            count = len(as_list(given, name, "one for each task"))
+            if count != len(tasks):
+                raise InputError(f"has {count}, there are {len(tasks)} tasks", field=name)
+    rest = cell.home[list(cell.chosen)]
+    asked = []
+    for i, task in enumerate(tasks):  # all that is wrong is told before anything is computed
+        n = len(task)
+        roll = _broadcast(f"rolls[{i}]", rolls[i], ((n,), ()), (n,))
+        tilt = np.zeros((n, 2)) if tilts is None else _broadcast(f"tilts[{i}]", tilts[i], ((n, 2),), (n, 2))
+        free = _broadcast(f"chosen[{i}]", rest if chosen is None else chosen[i], ((n, k), (k,)), (n, k))
+        asked.append((task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], i)))
+    paths = [
+        JointPath(task, roll, tilt, postures(cell, task, roll, free, branch, tilt), branch)
+        for task, roll, tilt, free, branch in asked
+    ]
+    return choose_turns(cell, paths)
+
+
+def _branch(cell: Cell, value: object, i: int) -> int:
+    branch, most = as_index(value, f"branches[{i}]"), cell.inverse.branch_count - 1
+    if not 0 <= branch <= most:
+        raise InputError(f"there is no branch {branch}", field=f"branches[{i}]", hint=f"0 to {most}")
+    return branch
+
+
+def _broadcast(name: str, value: ArrayLike, shapes: Sequence[tuple[int, ...]], to: tuple[int, ...]) -> Array:
+    """Finite numbers of one of some shapes, in the shape of all samples."""
+    try:
+        found = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("must be numbers", field=name) from None
+    if found.shape not in shapes:
+        raise InputError(f"has shape {found.shape}", field=name, hint=" or ".join(map(str, shapes)))
+    if not np.isfinite(found).all():
+        raise InputError("has a number that is not finite", field=name)
+    return np.ascontiguousarray(np.broadcast_to(found, to))
+
+
+def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -> tuple[JointPath, ...]:
+    """What a strategy answered, if it is a joint path for each task."""
+    field = f"strategy {name}"
+    if not isinstance(paths, (tuple, list)):
+        raise InputError(
+            f"answers with {type(paths).__name__}", field=field, hint="a JointPath for each task, in a tuple"
+        )
+    if len(paths) != len(tasks):
+        raise InputError(f"answers with {len(paths)} paths, there are {len(tasks)} tasks", field=field)
+    joints = len(cell.joint_names)
+    for i, (path, task) in enumerate(zip(paths, tasks, strict=True)):
+        if not isinstance(path, JointPath):
+            hint = "a JointPath, such as joint_paths makes"
+            raise InputError(f"path {i} is of type {type(path).__name__}", field=field, hint=hint)
+        if path.task is not task:
+            raise InputError(f"path {i} is of another task than task {i}", field=field)
+        for part, shape in (("q", (len(task), joints)), ("roll", (len(task),)), ("tilt", (len(task), 2))):
+            values = getattr(path, part)
+            if not isinstance(values, np.ndarray) or values.shape != shape:
+                raise InputError(f"path {i}: {part} has shape {np.shape(values)}", field=field, hint=str(shape))
+            if not np.isfinite(values).all():
+                at = int(np.argmin(np.isfinite(values).reshape(len(values), -1).all(axis=1)))
+                raise InputError(f"path {i}: {part}[{at}] is not finite", field=field)
+    return tuple(paths)

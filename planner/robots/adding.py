@@ -1,0 +1,127 @@
+"""A robot's file from its URDF, or from a model of Pinocchio: what `beadwise robots add` does, for Python too."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from planner.base.arguments import as_one_of, as_path
+from planner.base.errors import InputError, OutputError, nearest_name
+from planner.base.extras import missing_extra
+from planner.cell.robot import Robot, read_robot
+from planner.cell.robot_file import read_robot_file
+from planner.cell.urdf import Urdf, parse_urdf, read_urdf
+from planner.problem.settings import LANGUAGE_NAMES
+from planner.robots.files import robot_text
+from planner.robots.survey import Survey, expanded, key_of, survey
+from planner.robots.touching import NOTHING, Touching, touching
+
+if TYPE_CHECKING:
+    import pinocchio
+
+
+@dataclass(frozen=True)
+class Added:
+    """A robot whose file was written: what was found of it, of its bodies, and the robot as it is read."""
+
+    found: Survey
+    touch: Touching
+    robot: Robot
+
+
+def add_robot(
+    urdf: str | Path | pinocchio.Model,
+    file: str | Path | None = None,
+    *,
+    tip: str | None = None,
+    language: str | None = None,
+    bodies: pinocchio.GeometryModel | None = None,
+) -> Path:
+    """Make a robot's file from its URDF and return where it is, for `load(problem, {"cell.arm": ...})`.
+
+    urdf      a URDF, or a xacro file; or a model of Pinocchio, whose URDF is written beside the robot's file
+    file      the robot's file, my_robot.yaml; one that is there already is kept if it is of this URDF: what it assumes is the
+              user's to change. Named after the robot in the current folder, if not given
+    tip       link of the flange, if it is not found by itself
+    language  what its controller is programmed in
+    bodies    collision shapes of a model of Pinocchio; without them its links touch nothing
+
+    Raises InputError for a URDF that cannot be planned with, and OutputError where files cannot be written.
+    """
+    target = None if file is None else as_path(file, "file")
+    if tip is not None:
+        as_one_of(tip, str, "tip", "the name of a link")
+    if target is not None and target.suffix not in (".yaml", ".yml"):
+        raise InputError(f"{target} is no name of a robot's file", field="file", hint="for example my_robot.yaml")
+    if language is not None and language not in LANGUAGE_NAMES:
+        near = nearest_name(str(language), LANGUAGE_NAMES)
+        hint = f"did you mean {near}?" if near else f"languages: {', '.join(LANGUAGE_NAMES)}"
+        raise InputError(f"there is no language {language!r}", field="language", hint=hint)
+    if isinstance(urdf, (str, Path)):
+        if bodies is not None:
+            raise InputError("a URDF has bodies of its own", field="bodies", hint="leave it out")
+        source, fresh = as_path(urdf, "urdf"), False
+    else:
+        from planner.robots.from_model import written_urdf
+
+        source, fresh = written_urdf(urdf, bodies, target)
+    if target is not None and target.exists():
+        if read_robot_file(target).urdf().resolve() != source.with_suffix(".urdf").resolve():
+            raise OutputError(f"{target} is there already, and is of another robot: choose another name")
+        return target
+    try:
+        return added(source, target, tip, language)[0]
+    except ImportError as error:
+        raise missing_extra(error, source.name) or error from None
+    except (InputError, OutputError):
+        if fresh:
+            source.unlink(missing_ok=True)
+        raise
+
+
+def added(urdf: Path, file: Path | None, tip: str | None = None, language: str | None = None) -> tuple[Path, Added]:
+    """Write a robot's file from its URDF, named after the robot in this folder if no name is given; returns where.
+
+    Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
+    nothing is.
+    """
+    read, text = _read(urdf)
+    found = survey(read, tip)
+    file = file or Path(f"{key_of(found.name)}.yaml")
+    if not file.parent.is_dir():
+        raise OutputError(f"there is no folder {file.parent}")
+    if file.exists():
+        raise OutputError(f"{file} is there already, and stays as it is: --out gives another name")
+    source = urdf
+    if text is not None:
+        # beside the xacro file, from where its meshes are found
+        source = urdf.with_suffix(".urdf")
+        if source.exists() and source.read_text(encoding="utf-8") != text:
+            raise OutputError(
+                f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
+            )
+    try:
+        if text is not None:
+            source.write_text(text, encoding="utf-8")
+        # plainly first: what its bodies are like is looked at as it is read
+        file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
+        robot = read_robot(file)
+        touch = touching(read, robot)
+        file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
+        return file, Added(found, touch, read_robot(file))
+    except (OSError, InputError) as error:
+        file.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
+        raise
+
+
+def _read(path: Path) -> tuple[Urdf, str | None]:
+    """The URDF, and its text where xacro made it."""
+    if path.suffix != ".xacro":
+        return read_urdf(path), None
+    if not path.is_file():
+        raise InputError("there is no such file", file=path)
+    text = expanded(path)
+    return parse_urdf(text.encode(), path.with_suffix(".urdf")), text
