@@ -52,6 +52,7 @@ from pathlib import Path
 from types import ModuleType
 from planner.base import launch
 from planner.base.command_line import exit_code
+from planner.base.processes import in_background
 from planner.base.results import results_folder
 
 def interrupt():
@@ -69,7 +70,7 @@ def work():
 
 def command(arguments):
     try:
-        return exit_code(work, lambda text: print(text, file=sys.stderr))
+        return exit_code(work, lambda text: print(text, file=sys.stderr), at_once={at_once})
     finally:
         {then}
 
@@ -80,10 +81,12 @@ launch.end(launch.launch("made_up", []))
 """
 
 
-def swallowed(folder: Path, what: str, number: str = "SIGTERM", then: str = "pass") -> tuple[int, str]:
+def swallowed(
+    folder: Path, what: str, number: str = "SIGTERM", then: str = "pass", at_once: bool = False
+) -> tuple[int, str]:
     """Exit code and standard error output of that command; its results are gone."""
     done = subprocess.run(
-        [sys.executable, "-c", SWALLOWED.format(number=number, what=what, then=then)],
+        [sys.executable, "-c", SWALLOWED.format(number=number, what=what, then=then, at_once=at_once)],
         cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert [*folder.iterdir()] == []
@@ -114,6 +117,40 @@ def test_signals_while_an_interruption_is_answered(tmp_path: Path) -> None:
 def test_threads_do_not_outlast_an_interrupted_command(tmp_path: Path) -> None:
     thread = "threading.Thread(target=time.sleep, args=(50.0,)).start(); interrupt()"
     assert swallowed(tmp_path, thread) == (130, "interrupted: nothing was written\n")
+
+
+@pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        "interrupt()",
+        "sys.stderr.write('x' * 0); interrupt(); raise TypeError('never reached')",
+        "threading.Thread(target=lambda: [open(fresh / str(k % 100), 'w').close() for k in range(10**9)]).start(); interrupt()",
+        "in_background(time.sleep, 50.0).__enter__(); interrupt()",
+    ],
+    ids=["asleep", "swallowed", "a thread that writes", "a process beside"],
+)
+def test_an_interruption_ends_a_command_where_it_is(tmp_path: Path, what: str, number: str) -> None:
+    assert swallowed(tmp_path, what, number, at_once=True) == (130, "interrupted: nothing was written\n")
+
+
+def test_interruptions_that_are_held_come_later() -> None:
+    script = (
+        "import os, signal\n"
+        "from planner.base.signals import interruptions_held, terminations_interrupt\n"
+        "terminations_interrupt()\n"
+        "try:\n"
+        "    with interruptions_held():\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        print('held')\n"
+        "    print('never reached')\n"
+        "except KeyboardInterrupt:\n"
+        "    print('interrupted')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "held\ninterrupted\n", "")
 
 
 def test_errors_without_an_interruption_are_told(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any, NoReturn
 
 from planner.base.errors import EXIT_INTERRUPTED, PlannerError, Refusal, nearest_name
 from planner.base.extras import missing_extra
+from planner.base.signals import ended_at_once
 from planner.base.signals import interrupted as was_interrupted
 
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
@@ -21,10 +23,18 @@ CONTINUED = " \\"  # ends a line of a command that goes on in the next one
 HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns
 
 
-def exit_code(run: Callable[[], int], say: Callable[[str], None], interrupted: str = "nothing was written") -> int:
-    """The exit code of a command; whatever ends it before its time is said, an error with what would help."""
+def exit_code(
+    run: Callable[[], int],
+    say: Callable[[str], None],
+    interrupted: str = "nothing was written",
+    at_once: bool = False,
+) -> int:
+    """The exit code of a command; whatever ends it before its time is said, an error with what would help.
+
+    at_once: it holds nothing but files, so that an interruption may end it wherever it is, see `ended_at_once`
+    """
     try:
-        with _InterruptionsAsSuch():
+        with _InterruptionsAsSuch(), ended_at_once(f"interrupted: {interrupted}") if at_once else nullcontext():
             return run()
     except KeyboardInterrupt:
         say(f"interrupted: {interrupted}")

@@ -14,14 +14,14 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 from planner.base.errors import OutputError
-from planner.base.signals import ignored_interrupts, interrupted
+from planner.base.signals import ignored_interrupts, interrupted, interruptions_held, undone_at_the_end
 
 if sys.platform != "win32":
     import fcntl
@@ -32,6 +32,7 @@ WRITING, REPLACED = ".beadwise-writing-", ".beadwise-replaced-"  # folders, whil
 _JOURNAL, _OLD = "journal.json", "old"  # in the latter
 _LARGEST_MANIFEST = 10_000_000  # bytes: some 80,000 files
 _BLOCK = 1 << 20  # bytes read at once
+_TRIES = 5  # of removing a folder, into which another thread may be writing yet
 
 Tell = Callable[[str], None]
 
@@ -74,27 +75,35 @@ def results_folder(target: Path, by: str, tell: Tell = say) -> Iterator[Path]:
     Raises OutputError, before anything is computed, where `target` cannot be written.
     """
     missing = [folder for folder in (target, *target.parents) if not folder.exists()]
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        with _locked(target):
-            _clear_up(target, tell)
-            fresh = Path(tempfile.mkdtemp(prefix=WRITING, dir=target))
-            alive = _lock(fresh, wait=False)
-    except OSError as error:
-        raise OutputError(f"cannot write into {target}: {error.strerror}") from error
-    try:
-        yield fresh
-        if interrupted():  # code in C dropped it
-            raise KeyboardInterrupt
-        kept = _put_in_place(fresh, target, by)
-    except OSError as error:
-        raise OutputError(f"cannot write into {target}: {error.strerror}; what was there is there still") from error
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+
+    def leave() -> None:
+        for _ in range(_TRIES):
+            shutil.rmtree(fresh, ignore_errors=True)
+            if not fresh.exists():
+                break
         _unlock(alive)
         for folder in missing:  # made here: gone again if nothing came of it
             if folder.is_dir() and not any(folder.iterdir()):
                 folder.rmdir()
+
+    with ExitStack() as stack:
+        try:
+            with interruptions_held():
+                target.mkdir(parents=True, exist_ok=True)
+                with _locked(target):
+                    _clear_up(target, tell)
+                    fresh = Path(tempfile.mkdtemp(prefix=WRITING, dir=target))
+                    alive = _lock(fresh, wait=False)
+                stack.enter_context(undone_at_the_end(leave))
+        except OSError as error:
+            raise OutputError(f"cannot write into {target}: {error.strerror}") from error
+        try:
+            yield fresh
+            if interrupted():  # code in C dropped it
+                raise KeyboardInterrupt
+            kept = _put_in_place(fresh, target, by)
+        except OSError as error:
+            raise OutputError(f"cannot write into {target}: {error.strerror}; what was there is there still") from error
     for name, now in kept.items():
         tell(f"{target / name} was not written by an earlier run, or changed since: it is kept as {now}")
 

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from types import FrameType
+from typing import NoReturn
+
+from planner.base.errors import EXIT_INTERRUPTED
 
 _DEATH_SIGNAL = 1  # PR_SET_PDEATHSIG of Linux
 _SOON = 0.02  # s
 _came: list[int] = []  # numbers of the signals that interrupted this process
+_held: list[int] = []  # those that wait, where `_holding` is not empty
+_holding: list[None] = []
+_last_words: list[str] = []  # of a process that ends at once
+_undone: list[Callable[[], None]] = []  # what takes back what is half done, in the order in which that began
 
 
 @contextmanager
@@ -45,9 +53,66 @@ def terminations_interrupt() -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
+    if _holding:
+        _held.append(number)
+        return
     _came.append(number)
+    if _last_words:
+        _end_at_once()
     sys.unraisablehook = _half_closed
     signal.default_int_handler(number, frame)
+
+
+@contextmanager
+def ended_at_once(words: str) -> Iterator[None]:
+    """In the block an interruption ends this process where it is, with some last words: no exception finds its way through
+    compiled code, which may drop it, make another one of it, or crash. For commands that hold nothing but files."""
+    _last_words.append(words)
+    try:
+        yield
+    finally:
+        _last_words.pop()
+
+
+@contextmanager
+def undone_at_the_end(undo: Callable[[], None]) -> Iterator[None]:
+    """Call `undo` behind the block, and before an interruption in it ends this process at once."""
+    _undone.append(undo)
+    try:
+        yield
+    finally:
+        with interruptions_held():
+            _undone.remove(undo)
+            undo()
+
+
+@contextmanager
+def interruptions_held() -> Iterator[None]:
+    """Interruptions wait for the end of the block."""
+    _holding.append(None)
+    try:
+        yield
+    finally:
+        _holding.pop()
+        if not _holding and _held:
+            number = _held[0]
+            _held.clear()
+            os.kill(os.getpid(), number)
+
+
+def _end_at_once() -> NoReturn:
+    no_more_interruptions()
+    for child in multiprocessing.active_children():  # which may be writing what is undone
+        child.kill()
+        child.join()
+    for undo in reversed(_undone):
+        with suppress(OSError):
+            undo()
+    # buffers may be in use where the interruption came
+    wiped = "\r\x1b[2K\x1b[?25h" if os.isatty(2) else ""  # the line of a bar, and the cursor that it hides
+    with suppress(OSError):  # nobody reads it
+        os.write(2, f"{wiped}{_last_words[-1]}\n".encode(sys.stderr.encoding or "utf-8", "replace"))
+    os._exit(EXIT_INTERRUPTED)
 
 
 def interrupted() -> bool:

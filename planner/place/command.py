@@ -168,7 +168,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = place_command().parse_args(arguments)
     errors = Console(stderr=True, highlight=False)
-    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True), at_once=True)
 
 
 def _run(options: argparse.Namespace, errors: Console) -> int:

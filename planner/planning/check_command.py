@@ -219,7 +219,7 @@ def check_command() -> Command:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = check_command().parse_args(arguments)
-    return exit_code(lambda: _run(options), _complain)
+    return exit_code(lambda: _run(options), _complain, at_once=True)
 
 
 def _complain(text: str) -> None:

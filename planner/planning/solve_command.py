@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.list:
         print_shipped()
         return EXIT_VERIFIED
-    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True))
+    return exit_code(lambda: _run(options, errors), partial(errors.print, markup=False, soft_wrap=True), at_once=True)
 
 
 def _run(options: argparse.Namespace, errors: Console) -> int:
