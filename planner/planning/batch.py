@@ -91,7 +91,7 @@ def solve_all(
 
     problems  each as `solve` takes it
     strategy, dt, tolerance, baseline, terms  for all, as in `solve`
-    jobs      processes, started afresh; a script that asks for several does so below `if __name__ == "__main__":`
+    jobs      processes, started afresh; a script that asks for several does so only where it is the one that was started
     progress  whether a bar on stderr shows how many are done, where that is a terminal or a notebook
     done      is told what became of each problem as soon as it is known, in the order in which they are done
 
