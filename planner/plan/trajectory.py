@@ -78,8 +78,12 @@ class Trajectory(ReadOnlyArrays):
 
     def is_of(self, joints: int) -> bool:
         """Whether it is what the fields say, for so many joints: what is read from a file may be anything."""
-        numbers = all(type(value) in (int, float) for value in (self.dt, self.first_bead))
-        if not numbers or not isinstance(self.t, np.ndarray) or not isinstance(self.events, tuple):
+        if (
+            not isinstance(self.dt, float)
+            or not isinstance(self.first_bead, int)
+            or not isinstance(self.t, np.ndarray)
+            or not isinstance(self.events, tuple)
+        ):
             return False
         n = np.size(self.t)
         wide = {"q": joints, "tip": 3, "quat": 4, "axis": 3}
@@ -91,7 +95,7 @@ class Trajectory(ReadOnlyArrays):
                 shape = (n, wide[name]) if name in wide else (n,)
                 if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype.kind != kind:
                     return False
-        return type(self.first_bead) is int and all(isinstance(event, Event) for event in self.events)
+        return all(isinstance(event, Event) for event in self.events)
 
     @property
     def begun(self) -> NDArray[np.int64]:
