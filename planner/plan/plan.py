@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
+from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.plan.frames import data_frame, data_set
 from planner.plan.stored import save, stored_parts
@@ -293,7 +294,14 @@ class Plan:
         `write` verifies such a plan anew. Raises InputError for what is no such file, or of another version.
         """
         parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
-        return cls(cell=build_cell(parts["problem"]), **parts)
+        wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
+        wrong += [name for name, kind in ITEMS.items() if not all(isinstance(each, kind) for each in parts[name])]
+        cell = build_cell(parts["problem"])
+        if not wrong and not parts["trajectory"].is_of(len(cell.joint_names)):
+            wrong = ["trajectory"]
+        if wrong:
+            raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")
+        return cls(cell=cell, **parts)
 
     @property
     def first_bead(self) -> int:
@@ -420,6 +428,18 @@ class Plan:
 
     def _repr_html_(self) -> str:
         return plan_html(self)
+
+
+# What a plan that is loaded must have, by the names of its fields: kinds, and of what each item is.
+KINDS: dict[str, type | tuple[type, ...]] = {
+    **dict.fromkeys(("strategy", "resolved_by"), str),
+    **dict.fromkeys(("metrics", "series", "timing_s", "versions", "baseline", "settings", "seal"), dict),
+    **dict.fromkeys(("checks", "dips", "advice", "approaches", "paths", "roll_maps"), tuple),
+    "trajectory": Trajectory,
+    "view": (CellView, type(None)),
+    "nearer": (Nearer, type(None)),
+}
+ITEMS: dict[str, type] = {"checks": Check, "dips": Dip, "advice": Advice, "approaches": Approach}
 
 
 def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:

@@ -28,11 +28,13 @@ from scipy.spatial import cKDTree
 from planner.base.arguments import as_path
 from planner.base.errors import InputError, OutputError
 from planner.base.versions import versions
+from planner.plan.seal import digest_of
 
 if TYPE_CHECKING:
     from planner.plan.plan import Plan
 
 FORMAT = 1
+INPUTS = ("problem", "toolpath")  # what is verified against, and stands in the file
 _TEXT = "structure"
 _KINDS = "fiub"  # numbers and truth
 # What classes may be named: frozen values of the rooms that a plan is made of.
@@ -48,7 +50,7 @@ _UNREADABLE = (
     RuntimeError,
     MemoryError,
 )
-_UNLIKE = (TypeError, ValueError, KeyError, IndexError, AttributeError, ImportError, RecursionError)
+_UNLIKE = (TypeError, OverflowError, ValueError, KeyError, IndexError, AttributeError, ImportError, RecursionError)
 
 
 def save(plan: Plan, path: str | Path) -> Path:
@@ -57,16 +59,15 @@ def save(plan: Plan, path: str | Path) -> Path:
     taking = _Taking()
     parts = {field.name: taking.of(getattr(plan, field.name)) for field in fields(plan) if field.name != "cell"}
     source = taking.of(plan.problem.sources)
-    text = json.dumps(
-        {
-            "format": FORMAT,
-            "beadwise": versions().get("beadwise", ""),
-            "plan": parts,
-            "source": source,
-            "objects": taking.objects,
-        },
-        ensure_ascii=True,
-    )
+    held = {
+        "format": FORMAT,
+        "beadwise": versions().get("beadwise", ""),
+        "plan": parts,
+        "source": source,
+        "objects": taking.objects,
+        "inputs": {name: _digest(getattr(plan, name)) for name in INPUTS},
+    }
+    text = json.dumps(held, ensure_ascii=True)
     arrays: dict[str, Any] = {kind: np.concatenate(rows) for kind, rows in taking.rows.items()}
     arrays[_TEXT] = np.frombuffer(text.encode(), dtype=np.uint8)
     fresh = target.with_name(f".{target.name}.{os.getpid()}")
@@ -102,12 +103,24 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
         parts["problem"].model_post_init(giving.of(found["source"]))
         if set(parts) != set(names):
             raise KeyError("other parts")
+        changed = [name for name in INPUTS if _digest(parts[name]) != found["inputs"][name]]
     except _UNLIKE as error:
         by = f" of beadwise {found.get('beadwise')}"
         raise InputError(
             f"does not hold a plan{by} as this version has them", file=source, hint="plan it again"
         ) from error
+    if changed:
+        # Searched by compiled code, which trusts what it is given. A motion or a verdict that was changed is verified anew.
+        raise InputError(f"not what was saved: its {' and its '.join(changed)}", file=source, hint="plan it again")
     return parts
+
+
+def _digest(value: object) -> str:
+    """Digest of an input; empty for one that has none."""
+    try:
+        return digest_of(value)
+    except TypeError:
+        return ""
 
 
 class _Taking:
@@ -235,7 +248,10 @@ class _Giving:
     def _array(self, told: list[Any]) -> NDArray[Any]:
         kind, first, shape = told
         size = int(np.prod(shape, dtype=np.int64))
-        row = self._arrays[kind][first : first + size]
+        row = self._arrays[kind]
+        if min(first, size, *shape) < 0 or first + size > len(row):
+            raise IndexError(f"{first}, {shape}")
+        row = row[first : first + size]
         if row.dtype.kind not in _KINDS:
             raise TypeError(f"{kind} holds no numbers")
         return row.reshape(shape).copy()

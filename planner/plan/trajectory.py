@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,27 @@ class Trajectory(ReadOnlyArrays):
     feed: Array
     events: tuple[Event, ...] = ()
     first_bead: int = 0
+
+    def is_of(self, joints: int) -> bool:
+        """Whether it is what the fields say, for so many joints: what is read from a file may be anything."""
+        if (
+            not isinstance(self.dt, float)
+            or not isinstance(self.first_bead, int)
+            or not isinstance(self.t, np.ndarray)
+            or not isinstance(self.events, tuple)
+        ):
+            return False
+        n = np.size(self.t)
+        wide = {"q": joints, "tip": 3, "quat": 4, "axis": 3}
+        counted, flags = ("bead", "layer", "branch"), ("deposit",)
+        for each in fields(self):
+            if each.name not in ("dt", "events", "first_bead"):
+                value, name = getattr(self, each.name), each.name
+                kind = "i" if name in counted else "b" if name in flags else "f"
+                shape = (n, wide[name]) if name in wide else (n,)
+                if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype.kind != kind:
+                    return False
+        return all(isinstance(event, Event) for event in self.events)
 
     @property
     def begun(self) -> NDArray[np.int64]:

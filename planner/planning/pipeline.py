@@ -138,7 +138,8 @@ def solve(
     tolerance = None if tolerance is None else _tolerance(tolerance)
     strategy = _known(problem.strategy if strategy is None else strategy)
     first_bead = as_index(first_bead, "first_bead")
-    if not MIN_DT <= as_number(dt, "dt") <= MAX_DT:
+    dt = as_number(dt, "dt")
+    if not MIN_DT <= dt <= MAX_DT:
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
     if problem.from_arrays and over is not None:
         raise InputError("other processes cannot see waypoints from arrays", field="over", hint="leave it out")
