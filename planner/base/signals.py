@@ -102,6 +102,7 @@ def interruptions_held() -> Iterator[None]:
 
 def _end_at_once() -> NoReturn:
     no_more_interruptions()
+    threading.excepthook = lambda told: None  # of threads whose files go
     for child in multiprocessing.active_children():  # which may be writing what is undone
         child.kill()
         child.join()
