@@ -15,9 +15,11 @@ from planner.cell.cell import build_cell
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.leaning import SHARE, best_leans, cheapest_leans, leaned_tasks, leaning
 from planner.planning.pipeline import load, solve
+from planner.planning.tried import other_places
 from planner.problem import Problem
 from planner.resolve.joint_path import flange_poses
 from planner.resolve.ladder import ladder
+from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
 # The tip stands on the flange's axis: with the nozzle upright joint 5 has one angle at each place of a line away from the
@@ -80,6 +82,14 @@ def test_the_default_is_offered_where_another_strategy_has_no_way(tmp_path: Path
     with pytest.raises(Refusal) as caught:
         solve(problem_of(tmp_path, f"{LEAN}=5"), "ladder", baseline=False)
     assert caught.value.hints[0] == "strategy: sqp gives a verified plan, at speed on 100.0% of the length"
+
+
+def test_the_search_for_other_places_is_named_as_it_can_be_typed(tmp_path: Path) -> None:
+    problem = problem_of(tmp_path, f"{LEAN}=5")
+    (hint,) = other_places(problem)
+    assert hint.startswith(f"python -m planner.place {problem.file} --set {LEAN}=5 looks for a place")
+    points = np.column_stack([np.linspace(0.0, 0.1, 30), np.zeros((30, 2))])
+    assert other_places(load(problem, toolpath=Toolpath.from_arrays(points, [0.0, 0.0, 1.0]))) == ()
 
 
 def test_nothing_leans_that_may_not_or_has_no_posture(tmp_path: Path) -> None:

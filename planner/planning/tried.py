@@ -6,7 +6,9 @@ for every hint: there it is said that nothing but the search has been tried.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
+from pathlib import Path
 
 from planner.base.errors import Change, Hints, InputError, MovedBy, Refusal
 from planner.base.shipped import PROBLEMS
@@ -67,9 +69,14 @@ def hints_that_hold(
 
 
 def other_places(problem: Problem) -> Hints:
-    """That the part may be printed from elsewhere, and how to find out."""
-    name = problem.file.stem if problem.file.parent == PROBLEMS else problem.file.name
-    return (f"python -m planner.place {name} looks for a place of the part from which all of it is printed",)
+    """That the part may be printed from elsewhere, and the command that finds out; none for arrays, which it cannot be given."""
+    layers = problem.layers
+    if isinstance(layers, WaypointLayersSpec) and not isinstance(layers.source.waypoints, Path):
+        return ()
+    name = problem.file.stem if problem.file.parent == PROBLEMS else str(problem.file)
+    sets = [word for text in problem.overrides for word in ("--set", text)]
+    command = shlex.join(["python", "-m", "planner.place", name, *sets])
+    return (f"{command} looks for a place of the part from which all of it is printed",)
 
 
 def _told(what: str, found: Plan) -> str:

@@ -12,6 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from planner.base.errors import InputError, OutputError
+from planner.base.signals import interruptions_held
 from planner.problem.problem import Problem
 from planner.problem.yaml_file import Keys, parse_yaml
 
@@ -27,7 +28,7 @@ def write_changed(problem: Problem, changes: Mapping[str, Value], target: Path) 
     text = changed_text(problem, changes, target.parent)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with target.open("x", encoding="utf-8", newline="") as stream:
+        with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
             stream.write(text)
     except FileExistsError:
         raise OutputError(f"{target} is there already, and stays as it is: choose another name") from None
