@@ -29,6 +29,7 @@ if sys.platform != "win32":
 MANIFEST = "manifest.json"
 FORMAT = "beadwise results 1"
 WRITING, REPLACED = ".beadwise-writing-", ".beadwise-replaced-"  # folders, while a command runs
+_LEFT = ".left"  # ends the name of a folder that goes
 _JOURNAL, _OLD = "journal.json", "old"  # in the latter
 _LARGEST_MANIFEST = 10_000_000  # bytes: some 80,000 files
 _BLOCK = 1 << 20  # bytes read at once
@@ -77,9 +78,13 @@ def results_folder(target: Path, by: str, tell: Tell = say) -> Iterator[Path]:
     missing = [folder for folder in (target, *target.parents) if not folder.exists()]
 
     def leave() -> None:
+        left = Path(f"{fresh}{_LEFT}")
+        with suppress(OSError):
+            fresh.rename(left)  # threads may be writing there still: by its old name they find nothing
         for _ in range(_TRIES):
+            shutil.rmtree(left, ignore_errors=True)
             shutil.rmtree(fresh, ignore_errors=True)
-            if not fresh.exists():
+            if not (left.exists() or fresh.exists()):
                 break
         _unlock(alive)
         for folder in missing:  # made here: gone again if nothing came of it
