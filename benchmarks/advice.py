@@ -47,7 +47,7 @@ def applied(problem: str, overrides: Sequence[str]) -> tuple[Applied, ...]:
     out = []
     for each in solve(load(problem, *overrides)).advice:
         plan = solve(load(problem, *overrides, f"{each.field}={each.value}"), baseline=False)
-        beads = recorded(plan.trajectory, plan.problem, each.beads)
+        beads = recorded(plan.trajectory, plan.commanded, each.beads)
         whole = plan.metrics["at_speed_fraction"]
         out.append(Applied(each, beads.share, beads.time, whole, plan.verified))
     return tuple(out)

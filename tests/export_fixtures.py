@@ -230,7 +230,12 @@ def make_plan(
         cell=cell,
         toolpath=SimpleNamespace(  # type: ignore[arg-type]
             beads=tuple(
-                SimpleNamespace(material=material, length=length, points=np.zeros((round(length * 1e3), 3)))
+                SimpleNamespace(
+                    material=material,
+                    length=length,
+                    points=np.zeros((round(length * 1e3), 3)),
+                    commanded=lambda usual: usual,
+                )
                 for material in own
             ),
             layers=(beads + 1) // 2,

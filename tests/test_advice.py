@@ -56,7 +56,7 @@ def test_beads_with_most_slow_length_come_first_as_far_as_they_are_cheap() -> No
 
 def test_length_and_time_are_those_of_the_print() -> None:
     plan = small_plan()
-    laid = recorded(plan.trajectory, plan.problem, range(len(plan.beads)))
+    laid = recorded(plan.trajectory, plan.commanded, range(len(plan.beads)))
     assert laid.length == pytest.approx(plan.metrics["deposited_length_mm"] * 1e-3, rel=0.01)
     assert laid.time == pytest.approx(plan.metrics["deposition_time_s"], rel=0.01)
     assert laid.share == pytest.approx(plan.metrics["at_speed_fraction"], abs=0.03)

@@ -274,7 +274,7 @@ def test_what_no_tolerance_lets_be_longer_stays_short() -> None:
 def test_targets_are_passed_on_time_with_few_speeds(moves: list[tuple[float, float]], cut: int, least: float) -> None:
     took, real = np.array(moves).T
     group = np.where(np.arange(len(took)) < cut, 1, 2)
-    speed = even_speeds(real * took, took, group, SPEED, least)
+    speed = even_speeds(real * took, took, group, np.full(len(took), SPEED), least)
     late = np.cumsum(real * took / speed - took)
     if 0 < cut < len(took):
         late[cut:] -= late[cut - 1]
@@ -282,15 +282,17 @@ def test_targets_are_passed_on_time_with_few_speeds(moves: list[tuple[float, flo
     step = np.select([speed >= STEPS[0][0], speed >= STEPS[1][0]], [STEPS[0][1], STEPS[1][1]], STEPS[2][1])
     assert (np.abs(late) <= TIME_TOLERANCE + (took + TIME_TOLERANCE) * step / speed).all()
     assert np.abs(speed / step - np.round(speed / step)).max() < 1e-6
-    steady = even_speeds(np.full(50, SPEED * 0.05), np.full(50, 0.05), np.ones(50, dtype=np.intp), SPEED, least)
+    steady = even_speeds(
+        np.full(50, SPEED * 0.05), np.full(50, 0.05), np.ones(50, dtype=np.intp), np.full(50, SPEED), least
+    )
     assert (steady == (SPEED if least < 0.05 else steady)).all()
 
 
 @pytest.mark.parametrize("took", [5e-3, 17.5e-3, 45e-3])
 def test_a_brief_bead_is_as_quick_as_planned_whatever_the_least_time(took: float) -> None:
     one, parts = np.array([took]), np.array([0.4, 0.6]) * took
-    assert even_speeds(SPEED * one, one, np.array([1]), SPEED, 0.1) == pytest.approx(SPEED, rel=0.01)
-    assert even_speeds(SPEED * parts, parts, np.array([1, 1]), SPEED, 0.1) == pytest.approx(SPEED, rel=0.01)
+    assert even_speeds(SPEED * one, one, np.array([1]), np.full(1, SPEED), 0.1) == pytest.approx(SPEED, rel=0.01)
+    assert even_speeds(SPEED * parts, parts, np.array([1, 1]), np.full(2, SPEED), 0.1) == pytest.approx(SPEED, rel=0.01)
 
 
 # ---- a plan -------------------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ NEAR = 0.024  # s by which pressure is built up before a bead, and let off behin
 # more than what zones cut off. By so much more a prime comes early.
 READY, SHARE = 0.02, 0.02  # s, and of the time since what came before
 
-HOME = ("heat", "purge", "change", "select", "retract")  # events that a prime does not move before
+HOME = ("heat", "purge", "change", "pause", "cool", "select", "retract")  # events that a prime does not move before
 
 
 @dataclass(frozen=True)

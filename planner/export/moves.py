@@ -56,7 +56,7 @@ STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot sta
 ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
 SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
 AROUND = 0.1  # s
-AT_HOME = ("heat", "purge", "change")  # events for which the robot rests at home
+AT_HOME = ("heat", "purge", "change", "pause", "cool")  # events for which the robot rests at home
 NEAR_EVENT = 2.0  # samples by which a rest may seem to begin behind its event
 
 
@@ -387,6 +387,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     length = segments(leaves[:, :3], via[:, :3], comes[:, :3], circular).length
     peaks = np.maximum.reduceat(np.append(np.diff(way.path), 0.0), a) / trajectory.dt
     whole = np.where(laid, np.cumsum(starts[a]), 0)  # the bead that each move belongs to, from 1
+    usual = plan.commanded[trajectory.bead[a]]  # of travel nobody asks for it
     k = np.concatenate([[0], b])
     targets, turned = Poses(fitted.aim[k]), (fitted.aim[k] != way.pose[k]).any(axis=1)
     return Moves(
@@ -395,7 +396,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
         linear=is_linear,
         circular=circular,
         laid=laid,
-        speed=np.where(laid, even_speeds(length, took, whole, plan.problem.process.speed, program.least_time), peaks),
+        speed=np.where(laid, even_speeds(length, took, whole, usual, program.least_time), peaks),
         turn=angle(leaves[:, 3:7], comes[:, 3:7]) / took,
         axis=rates[:, turns].max(axis=1, initial=0.0),
         slide=rates[:, ~turns].max(axis=1, initial=0.0),

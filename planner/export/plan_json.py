@@ -170,6 +170,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
                 "duration_s": event.duration,
                 "amount_mm": event.amount * 1e3,
                 **({"material": event.material} if event.material else {}),
+                **({"note": event.note} if event.note else {}),
             }
             for event in plan.trajectory.events
         ],

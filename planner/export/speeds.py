@@ -21,20 +21,20 @@ BRIEF = 6.0  # of that tolerance: what a shorter bead may be late by would be to
 CATCHING_UP = 1.01  # times the plan's greatest speed, with which a program that is late may go on: hardly faster
 
 
-def even_speeds(length: Array, took: Array, group: Indices, usual: float, least: float) -> Array:
+def even_speeds(length: Array, took: Array, group: Indices, usual: Array, least: float) -> Array:
     """Programmed speeds (m) [m/s] with which moves of given lengths [m] pass their targets when planned, to TIME_TOLERANCE.
 
     took   (m) time of each move [s]
     group  (m) moves of one number share a clock, which begins with the first; 0: the mean speed of the move itself
-    usual  speed that is taken wherever it keeps the clock [m/s]
+    usual  (m) speed that is taken wherever it keeps the clock, the same in a group [m/s]
     least  time that each move is given, even if it took less, as far as the clock can be kept [s]; but in beads that take
            less than BRIEF tolerances, whose moves are as quick as planned
     """
     own = group > 0
     brief = np.bincount(group, weights=took)[group] < BRIEF * TIME_TOLERANCE
-    fastest = max(usual, float((length[own] / took[own]).max(initial=0.0)))
+    quicker = max(1.0, float((length[own] / took[own] / usual[own]).max(initial=0.0)))
     kept = np.where(own & brief, -1, group)
-    return _even_speeds(length, took, kept, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * fastest))
+    return _even_speeds(length, took, kept, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * quicker))
 
 
 class SpeedRules(NamedTuple):
@@ -42,7 +42,7 @@ class SpeedRules(NamedTuple):
 
     least    time of a move [s]
     most     time by which a target may be passed too early or too late [s]
-    fastest  speed of a move [m/s]
+    fastest  speed of a move, over the usual one
     """
 
     least: float
@@ -66,7 +66,7 @@ def _stepped(slowness: float, floor: float) -> float:
 
 
 @njit(cache=True)
-def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules: SpeedRules) -> Array:
+def _even_speeds(length: Array, took: Array, group: Indices, usual: Array, rules: SpeedRules) -> Array:
     """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
     out = np.empty(len(length))
     i, late = 0, 0.0
@@ -86,7 +86,7 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules
         while k < len(length) and group[k] == group[i]:
             way, time = way + length[k], time + took[k]
             low, high = max(low, (time - late - rules.most) / way), min(high, (time - late + rules.most) / way)
-            floor = max(floor, rules.least / length[k], 1.0 / rules.fastest)
+            floor = max(floor, rules.least / length[k], 1.0 / (rules.fastest * usual[i]))
             if k == i:
                 floor = min(floor, high)
             if max(low, floor) > high and k > i:
@@ -94,8 +94,8 @@ def _even_speeds(length: Array, took: Array, group: Indices, usual: float, rules
             ideal = min(max((time - late) / way, low, floor), high)
             if ideal <= 0.0:
                 break
-            if max(low, floor) <= 1.0 / usual <= high and late <= 0.5 * rules.most:
-                chosen = 1.0 / usual
+            if max(low, floor) <= 1.0 / usual[i] <= high and late <= 0.5 * rules.most:
+                chosen = 1.0 / usual[i]
             else:
                 chosen = _stepped(ideal, floor)
             if k == i or max(low, floor * (1.0 - ON_STEP)) <= chosen <= high:

@@ -90,8 +90,8 @@ def find_dips(
     problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], trajectory: Trajectory
 ) -> tuple[Dip, ...]:
     """All dips of a trajectory along its joint paths, in order of time, each with its cause and remedies."""
-    t, speed = trajectory, problem.process.speed
-    slow = np.flatnonzero(t.deposit & (t.speed < AT_SPEED * speed))
+    t, commanded = trajectory, np.array([bead.commanded(problem.process.speed) for bead in toolpath.beads])
+    slow = np.flatnonzero(t.deposit & (t.speed < AT_SPEED * commanded[t.bead]))
     if len(slow) == 0:
         return ()
     cut = np.flatnonzero((np.diff(slow) > MERGE + 1) | (np.diff(t.bead[slow]) != 0)) + 1
@@ -140,7 +140,7 @@ def _dip(problem: Problem, line: _Line, t: Trajectory, first: int, last: int) ->
         at_s=stretch.at,
         t=float(t.t[at]),
         speed=stretch.lowest,
-        lost=float((1.0 - t.speed[rows] / problem.process.speed).sum()) * t.dt,
+        lost=float((1.0 - t.speed[rows] / line.path.task.speed).sum()) * t.dt,
         joint=joint,
         limit=limit,
         # the first and the last sample of a bead stand for what flows around them too
@@ -170,7 +170,7 @@ def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tupl
     if len(places) == 0:
         return "", "shape", ()
     _, joint, order = np.unravel_index(int(np.argmin(ceilings)), ceilings.shape)
-    if ceilings.min() < AT_SPEED * problem.process.speed:
+    if ceilings.min() < AT_SPEED * task.speed:
         return line.names[joint], LIMITS[order], _remedies(problem, line, dip, ceilings, places)
     if dip.begins or dip.ends:
         start = dip.begins and (not dip.ends or dip.at < 0.5 * line.bead.length)
@@ -183,13 +183,13 @@ def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tupl
 
 def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
     """What would let the commanded speed be held where ceilings (k, nj, 3) are below it: speed, limits, geometry."""
-    speed = problem.process.speed
+    speed = line.path.task.speed
     slowest = ceilings.min(axis=(1, 2))
     # in a run the speed need not be held all along, so that a little less would do
     exact = bool(0.0 <= places[np.argmin(slowest)] <= line.bead.length)
     out = []
     slower = float(slowest.min())
-    if slower >= SLOWEST:
+    if slower >= SLOWEST and line.bead.speed is None:
         out.append(Remedy("speed", (("process.speed_mm_s", _down(slower * 1e3)),), exact))
     each = ceilings.min(axis=0)
     needed = line.limits * (speed / each) ** ORDERS
@@ -210,11 +210,11 @@ def _larger_shape(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array,
     Along a larger run all speeds grow, with its square root where accelerations limit them. In a larger corner the
     commanded speed has to be held all along.
     """
-    process, length = problem.process, line.bead.length
-    tight = places[(ceilings < AT_SPEED * process.speed).any(axis=(1, 2))]
+    process, length, speed = problem.process, line.bead.length, line.path.task.speed
+    tight = places[(ceilings < AT_SPEED * speed).any(axis=(1, 2))]
     if np.minimum(tight, length - tight).max() < process.corner_tolerance:  # all in a run, or just before it
-        return _longer_run(problem, process.run_in * (process.speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf)
-    wider = process.corner_tolerance * _growth(ceilings, process.speed)
+        return _longer_run(problem, process.run_in * (speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf)
+    wider = process.corner_tolerance * _growth(ceilings, speed)
     if wider > min(WIDEST_TOLERANCE, length / _CORNER_LENGTH) or not line.corner(
         float(tight[0]), float(tight[-1]), process.corner_tolerance
     ):

@@ -14,7 +14,9 @@ from scipy.ndimage import uniform_filter1d
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.motion.visits import Rest
 from planner.plan import TRAVEL, Event
+from planner.plan.plan import SELECTS
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead
 from planner.toolpath.runs import prime_time
@@ -28,7 +30,7 @@ LONGEST_RAMP = 0.04  # s, and at most this long: what is left of the error a lag
 class Span:
     """When a bead is laid down: from start to end, and when the nozzle comes to rest at its stops [s].
 
-    material of the bead, by its name; change: when the robot comes to rest at home before it, to change to that, if so
+    material of the bead, by its name; at_home: the robot's rest there before it, if there is one
     """
 
     bead: int
@@ -36,7 +38,7 @@ class Span:
     end: float
     stops: tuple[float, ...] = ()
     material: str = ""
-    change: float | None = None
+    at_home: Rest | None = None
 
 
 def events(process: ProcessSpec, spans: Sequence[Span]) -> tuple[Event, ...]:
@@ -44,20 +46,16 @@ def events(process: ProcessSpec, spans: Sequence[Span]) -> tuple[Event, ...]:
 
     A prime ends as its bead starts, a retract begins as it ends. The print begins at 0 s with the rest at home that
     `process.start.time` asks for. Fibre is fed from its prime to its cut; after the cut it is drawn, not fed, to the
-    end of its bead. Materials with names are selected at home, the first one when all is hot, any other in the rest
-    that `process.change` asks for. Raises ValueError where the beads leave less time than that and
+    end of its bead. Materials with names are selected at home, the first one when all is hot, any other in a rest there.
+    Raises ValueError where the beads leave less time than that and
     `process.least_travel_time` ask for.
     """
     first = spans[0].material if spans else ""
     found = _at_start(process, first)
     for span in spans:
         own, name = process.of(span.material), span.material
-        if span.change is not None:
-            change = process.change
-            found.append(Event("change", span.bead, span.change, change.wait, 0.0, name))
-            if change.purge > 0.0:
-                time = change.purge / change.purge_speed
-                found.append(Event("purge", span.bead, span.change + change.wait, time, change.purge, name))
+        if span.at_home is not None:
+            found += _at_home(process, span.at_home, span.bead, name, found)
         prime = prime_time(own)
         if own.prime_length > 0.0:
             found.append(Event("prime", span.bead, span.start - prime, prime, own.prime_length, name))
@@ -85,6 +83,27 @@ def _at_start(process: ProcessSpec, material: str) -> list[Event]:
         found.append(Event("select", TRAVEL, start.heat_wait, 0.0, 0.0, material))
     if start.purge > 0.0:
         found.append(Event("purge", TRAVEL, start.heat_wait, start.purge / start.purge_speed, start.purge, material))
+    return found
+
+
+def _at_home(process: ProcessSpec, rest: Rest, bead: int, material: str, before: Sequence[Event]) -> list[Event]:
+    """What is done in a rest at home, in its order: the layer before gets cool, a pause, a change of material. What a pause
+    purges is of the material before, if that changes."""
+    found, now = [], rest.start
+    if rest.cool > 0.0:
+        found.append(Event("cool", bead, now, rest.cool, 0.0))
+    now += rest.cool
+    old = next((event.material for event in reversed(before) if event.kind in SELECTS), material)
+    for kind, asked, own, note in (
+        ("pause", rest.pause, old, "" if rest.pause is None else rest.pause.what),
+        ("change", process.change if rest.change else None, material, ""),
+    ):
+        if asked is None:
+            continue
+        found.append(Event(kind, bead, now, asked.wait, 0.0, own if kind == "change" else "", note))
+        if asked.purge > 0.0:
+            found.append(Event("purge", bead, now + asked.wait, asked.purge / asked.purge_speed, asked.purge, own))
+        now += asked.time
     return found
 
 
@@ -143,7 +162,7 @@ def extruded_volume(bead: Bead, process: ProcessSpec, t: Array, s: Array) -> Arr
         return deposited_volume(bead, area, s)
     mean = deposited_volume(bead, area, bead.s[-1:])[0] / bead.length
     start, end = np.interp([0.0, bead.length], s, t)
-    return mean * process.speed * np.clip(t - start, 0.0, end - start)
+    return mean * bead.commanded(process.speed) * np.clip(t - start, 0.0, end - start)
 
 
 def flow(volume_at_edges: Array, dt: float) -> Array:

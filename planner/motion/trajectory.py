@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from planner.motion.cubics import Cubics, chain, rest
 from planner.motion.extrusion import Span, events, extruded_volume, feed_of_materials, flow
 from planner.motion.timing.timed_path import TimedPath
 from planner.motion.travel.plan import Travel, ViaHome
+from planner.motion.visits import Rest, Visit, rest_of, visits
 from planner.plan import TRAVEL, Trajectory
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -34,11 +35,12 @@ def join(
 ) -> Trajectory:
     """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
 
-    timed: all beads of the toolpath, or the last ones. Travel by way of home rests there as long as a change of
-    material takes. At the end the robot rests.
+    timed: all beads of the toolpath, or the last ones. Travel by way of home rests there as long as its visit takes (see
+    `visits`). At the end the robot rests.
     """
     before = len(toolpath.beads) - len(timed)
-    moves = [_whole(travel, process) for travel in travels]
+    rests = _rests(toolpath, process, timed, travels)
+    moves = [_whole(travel, process, rests.get(before + k)) for k, travel in enumerate(travels)]
     pieces: list[TimedPath | Cubics] = [chain([rest(moves[0].start.q, process.start.time), moves[0]])]
     for path, move in zip(timed, moves[1:], strict=True):
         pieces += [path, move]
@@ -74,7 +76,7 @@ def join(
         rate[rows] = _flow(laid[0::2], inside, dt)
         volume[rows] = done + laid[1::2]
         done += float(laid[-1])
-    told = events(process, _spans(process, toolpath, timed, travels, starts))
+    told = events(process, _spans(process, toolpath, timed, rests, starts))
     materials = [line.material for line in toolpath.beads]
     tip, axis, quat = _poses(cell, q)
     moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
@@ -101,29 +103,55 @@ def join(
     )
 
 
-def _whole(travel: Travel, process: ProcessSpec) -> Cubics:
+def _rests(
+    toolpath: Toolpath, process: ProcessSpec, timed: Sequence[TimedPath], travels: Sequence[Travel]
+) -> dict[int, Rest]:
+    """When and how long the robot rests at home before beads, by their index."""
+    by_home, beads = visits(process, toolpath.beads, timed), toolpath.beads
+    before, now = len(beads) - len(timed), process.start.time
+    found: dict[int, Rest] = {}
+    begun: list[float] = []  # when the beads began to be laid [s]
+    for k, (path, travel) in enumerate(zip(timed, travels, strict=False)):
+        if isinstance(travel, ViaHome):
+            visit, now = by_home.get(before + k, Visit()), now + travel.out.duration
+            layer = 0.0 if visit.layer_before is None else begun[visit.layer_before - before]
+            found[before + k] = rest_of(process, visit, now, travel.back.duration + path.when(0.0), layer)
+            now += found[before + k].time(process) + travel.back.duration
+        else:
+            now += travel.duration
+        begun.append(now + path.when(0.0))
+        now += path.duration
+    return found
+
+
+def _whole(travel: Travel, process: ProcessSpec, at_home: Rest | None) -> Cubics:
     """One motion of a travel, with the rest at home in it, if it goes there."""
     if not isinstance(travel, ViaHome):
         return travel
-    return chain([travel.out, rest(travel.out.end.q, process.change.time), travel.back])
+    time = 0.0 if at_home is None else at_home.time(process)
+    return chain([travel.out, rest(travel.out.end.q, time), travel.back])
 
 
 def _spans(
-    process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath], travels: Sequence[Travel], starts: Array
+    process: ProcessSpec,
+    toolpath: Toolpath,
+    timed: Sequence[TimedPath],
+    rests: Mapping[int, Rest],
+    starts: Array,
 ) -> list[Span]:
     """When the beads are laid down, if the extruder does anything before, in or after them.
 
     starts: of all pieces, travel and beads in turn [s].
     """
-    if least_travel_time(process) <= 0.0 and process.fibre is None and not process.materials:
+    if least_travel_time(process) <= 0.0 and process.fibre is None and not process.materials and not rests:
         return []
     spans = []
     before = len(toolpath.beads) - len(timed)
-    for i, (path, bead, way) in enumerate(zip(timed, toolpath.beads[before:], travels, strict=False)):
+    for i, (path, bead) in enumerate(zip(timed, toolpath.beads[before:], strict=True)):
         at = float(starts[2 * i + 1])
         stops = tuple(at + begin for begin, _ in path.rests)
-        change = float(starts[2 * i]) + way.out.duration if isinstance(way, ViaHome) else None
-        spans.append(Span(before + i, at + path.when(0.0), at + path.when(bead.length), stops, bead.material, change))
+        begin, end = at + path.when(0.0), at + path.when(bead.length)
+        spans.append(Span(before + i, begin, end, stops, bead.material, rests.get(before + i)))
     return spans
 
 

@@ -358,6 +358,18 @@ CHECKS: dict[str, Measure] = {
         "time without motion; the limit is two samples",
         "process.materials are several",
     ),
+    "time of a layer": Measure(
+        "s",
+        "from a layer's beginning to the next one's passes the time that a layer takes at least",
+        "the limit is two samples less",
+        "process.layer_time is given",
+    ),
+    "pauses before layers": Measure(
+        "s missing",
+        "the robot rests at home for each pause, and what it purges is purged",
+        "time without motion; the limit is two samples",
+        "process.pauses are given",
+    ),
     "axis near the file's normals": Measure(
         "deg",
         "smoothing turns the nozzle from the normals of a file of waypoints by no more than it may",

@@ -314,6 +314,11 @@ class Plan:
         return self.toolpath.beads[self.first_bead :]
 
     @property
+    def commanded(self) -> Array:
+        """Speed (k) [m/s] at which each bead of the toolpath is to be laid."""
+        return np.array([bead.commanded(self.problem.process.speed) for bead in self.toolpath.beads])
+
+    @property
     def layers(self) -> int:
         """Number of layers that they belong to."""
         toolpath = self.toolpath

@@ -14,10 +14,12 @@ TRAVEL = -1  # index of the bead where there is none
 
 @dataclass(frozen=True)
 class Event:
-    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change".
+    """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change",
+    "pause" (which a layer asks for), "cool" (a rest until the layer before has had its time).
 
     bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
     material by its name: what is moved, or selected, or changed to; empty where materials have no names
+    note     what a pause is for
     """
 
     kind: str
@@ -26,12 +28,14 @@ class Event:
     duration: float
     amount: float
     material: str = ""
+    note: str = ""
 
     @property
     def words(self) -> str:
         """What it is, and of which bead."""
         what = f"{self.kind} {self.material}" if self.kind == "select" else self.kind
         what = f"change to {self.material}" if self.kind == "change" else what
+        what = f"pause: {self.note}" if self.kind == "pause" and self.note != "pause" else what
         return what if self.bead < 0 else f"{what}, bead {self.bead}"
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.plan import Advice, Dip, Trajectory
@@ -75,12 +76,13 @@ def advise(
 
     given: what was planned; paths: of its beads, in their order; trajectory: of these
     """
-    whole = recorded(trajectory, given.problem, range(len(paths)))
-    slow = {bead: recorded(trajectory, given.problem, [bead]).slow for bead in sorted({dip.bead for dip in dips})}
+    commanded = np.array([path.task.speed for path in paths])
+    whole = recorded(trajectory, commanded, range(len(paths)))
+    slow = {bead: recorded(trajectory, commanded, [bead]).slow for bead in sorted({dip.bead for dip in dips})}
     worst = worst_beads(paths, slow)
     if not worst:
         return ()
-    now = recorded(trajectory, given.problem, worst)
+    now = recorded(trajectory, commanded, worst)
     found = []
     for change in changes(given.problem):
         tried = _tried(given, change, worst, paths)
@@ -110,11 +112,12 @@ def advise(
     return tuple(advice for _, advice in sorted(found, key=lambda each: each[0]))
 
 
-def recorded(trajectory: Trajectory, problem: Problem, beads: Sequence[int]) -> Laid:
-    """Some beads as a trajectory lays them."""
+def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> Laid:
+    """Some beads as a trajectory lays them; commanded: speeds of all [m/s]."""
     t = trajectory
-    speed = t.speed[t.deposit & np.isin(t.bead, list(beads))]
-    fast = speed >= (1.0 - SPEED_TOLERANCE) * problem.process.speed
+    own = t.deposit & np.isin(t.bead, list(beads))
+    speed = t.speed[own]
+    fast = speed >= (1.0 - SPEED_TOLERANCE) * commanded[t.bead[own]]
     return Laid(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
 
 
@@ -143,8 +146,9 @@ def changes(problem: Problem) -> Iterator[Changed]:
     if process.cones.tilt + _ROUNDING < LEAN:
         changed = process.model_copy(update={"cones": process.cones.model_copy(update={"tilt": LEAN})})
         yield _change(problem, "lean", "process.cones.nozzle_normal_deg", math.degrees(LEAN), changed)
-    speed = SLOWER * process.speed
-    yield _change(problem, "speed", "process.speed_mm_s", speed * 1e3, process.model_copy(update={"speed": speed}))
+    if not process.speeds and process.layer_time is None:  # beads that have speeds of their own would keep them
+        speed = SLOWER * process.speed
+        yield _change(problem, "speed", "process.speed_mm_s", speed * 1e3, process.model_copy(update={"speed": speed}))
 
 
 def _change(problem: Problem, kind: str, field: str, value: float, process: object) -> Changed:
@@ -176,19 +180,16 @@ def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> Laid:
     """Beads timed, and judged every few milliseconds."""
     process = given.problem.process
     moving = process.hand_over == "motion"
-    each = [
-        laid(time_path(given.cell, path, (moving, moving), given.problem.resolve.timing), process.speed)
-        for path in paths
-    ]
+    each = [laid(time_path(given.cell, path, (moving, moving), given.problem.resolve.timing)) for path in paths]
     return Laid(sum(one.at_speed for one in each), sum(one.length for one in each), sum(one.time for one in each))
 
 
-def laid(timed: TimedPath, speed: float) -> Laid:
+def laid(timed: TimedPath) -> Laid:
     """Of one bead in time, without its runs."""
     task = timed.path.task
     low, high = float(task.s[task.first]), float(task.s[task.last])
     t = np.append(np.arange(0.0, timed.duration, STEP), timed.duration)
     s = np.clip(timed.at(t)[1], low, high)
     step, dt = np.diff(s), np.diff(t)
-    fast = step >= (1.0 - SPEED_TOLERANCE) * speed * dt
+    fast = step >= (1.0 - SPEED_TOLERANCE) * task.speed * dt
     return Laid(float(step[fast].sum()), float(step.sum()), float(dt[step > 0.0].sum()))

@@ -104,8 +104,10 @@ def _bytes(path: Path) -> int:
 
 
 def one_layer(problem: Problem) -> Problem:
-    """The problem with its first layer alone."""
-    return problem.model_copy(update={"layers": problem.layers.model_copy(update={"count": 1})})
+    """The problem with its first layer alone, and nothing that is of others."""
+    process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": ()})
+    layers = problem.layers.model_copy(update={"count": 1})
+    return problem.model_copy(update={"layers": layers, "process": process})
 
 
 def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:

@@ -66,6 +66,7 @@ from planner.resolve.sqp import refine_paths
 from planner.resolve.strategies import STRATEGIES, UNAWARE
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.speeds import mean_speed
 from planner.toolpath.workload import Workload
 from planner.verify.collision import check_start
 from planner.verify.drawing import cell_view
@@ -152,7 +153,7 @@ def solve(
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
     work = Workload.of(toolpath)
-    expected = estimate(work, problem.process.speed, dt)
+    expected = estimate(work, mean_speed(problem.process, toolpath), dt)
     check_memory(problem, work, expected)
     if expected.seconds >= TOLD_FROM:
         stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")

@@ -193,9 +193,11 @@ def _beads(problem: Problem, toolpath: Toolpath | None, first_layer: bool) -> st
     if toolpath is None:
         return "not laid here, for that takes seconds: --toolpath"
     n, length = len(toolpath.beads), toolpath.length
-    seconds = length / problem.process.speed
+    speeds = [bead.commanded(problem.process.speed) for bead in toolpath.beads]
+    seconds = sum(bead.length / speed for bead, speed in zip(toolpath.beads, speeds, strict=True))
     time = f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
-    size = f"{n} bead{'' if n == 1 else 's'}, {length:.2f} m, {time} at {problem.process.speed * 1e3:g} mm/s"
+    at = " to ".join(f"{speed * 1e3:.3g}" for speed in sorted({min(speeds), max(speeds)}))
+    size = f"{n} bead{'' if n == 1 else 's'}, {length:.2f} m, {time} at {at} mm/s"
     if first_layer:
         return f"{size}, of the first layer alone (all of them: --toolpath)"
     return f"{size}, in {toolpath.layers} layer{'' if toolpath.layers == 1 else 's'}"

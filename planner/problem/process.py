@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
+from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Pauses, Speed, Speeds
 from planner.problem.fields import (
     IDENTIFIER,
     LONGEST_NAME,
@@ -36,8 +37,6 @@ SECTIONS: tuple[str, ...] = get_args(SectionName)
 MOTORS: tuple[str, ...] = get_args(MotorName)
 
 MaterialName = Annotated[str, IDENTIFIER]
-LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that filament of two materials never moves in the same one
-
 CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
 MOST_LINES = 20
 KLIPPER_LACKS = ("M42", "M280")  # of the orders that a cut may have
@@ -49,7 +48,6 @@ HandOver = Literal["rest", "motion"]
 HAND_OVERS: tuple[str, ...] = get_args(HandOver)
 Heating = Literal["set", "wait"]
 HEATINGS: tuple[str, ...] = get_args(Heating)
-Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
 
 
 class BeadSpec(Section):
@@ -438,6 +436,11 @@ class ProcessSpec(AroundBeadSpec):
 
     speed: Speed = key("speed_mm_s", "speed of the nozzle along the part while printing [mm/s]")
     travel_speed: Speed = key("travel_speed_mm_s", "greatest speed between beads [mm/s]")
+    speeds: Speeds = key(
+        "speeds", "other speeds, of some layers or beads; of several that a bead has, the last; default: none", ()
+    )
+    layer_time: LayerTimeSpec | None = key("layer_time", "how long a layer takes at least; default: no matter", None)
+    pauses: Pauses = key("pauses", "rests at home before some layers; default: none", ())
     bead: BeadSpec = key("bead", "cross-section of a bead")
     corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = key(
         "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2
@@ -478,6 +481,22 @@ class ProcessSpec(AroundBeadSpec):
         """Temperature of a material's nozzle [°C], by its name; None where it is not set."""
         given = self.materials[material].nozzle_c
         return self.start.nozzle_c if given is None else given
+
+    @model_validator(mode="after")
+    def _slower_than_usual(self) -> ProcessSpec:
+        slowest = None if self.layer_time is None else self.layer_time.slowest
+        if slowest is not None and slowest > self.speed:
+            reason = f"slowest_mm_s is {slowest * 1e3:g}, above speed_mm_s {self.speed * 1e3:g}"
+            raise refusal(reason, "a lower one", fields=["speed_mm_s", "layer_time"])
+        return self
+
+    @model_validator(mode="after")
+    def _one_pause_each(self) -> ProcessSpec:
+        layers = [pause.before_layer for pause in self.pauses]
+        twice = next((layer for layer in layers if layers.count(layer) > 1), None)
+        if twice is not None:
+            raise refusal(f"two pauses before layer {twice}", "one of them, as long as both", fields=["pauses"])
+        return self
 
     @model_validator(mode="after")
     def _one_tool_each(self) -> ProcessSpec:

@@ -27,6 +27,8 @@ WORDS = {
     "prime": "prime, before a bead",
     "retract": "retract, after a bead",
     "cut": "cut the fibre, at rest on the bead",
+    "pause": "pause before a layer, at home",
+    "cool": "wait until the layer before is cool, at home",
 }
 
 

@@ -106,7 +106,7 @@ def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) ->
     step = float(np.clip(cone / _STEPS_IN_CONE, _FINEST, _COARSEST))
     lattice = _lattice(cell, axes, step, home)
     cells, middles = _cells(lattice, demand, cone)
-    price = _posture_prices(cell, middles, tasks[0].speed)
+    price = _posture_prices(cell, middles, max(task.speed for task in tasks))
     na = len(cell.arm)
     v = cell.limits.velocity
     size = (len(lattice.a), len(lattice.b), _HEADINGS)

@@ -123,6 +123,7 @@ class Bead(ReadOnlyArrays):
     material       its name in process.materials; empty where they have no names
     short_runs     whether run-in and run-out are as short as may be, where longer ones cannot be had
     round          a strut in space: its section is a circle, width and height are its diameter
+    speed          commanded [m/s]; None where it is the process's
     """
 
     name: str
@@ -138,11 +139,16 @@ class Bead(ReadOnlyArrays):
     material: str = ""
     short_runs: tuple[bool, bool] = (False, False)
     round: bool = False
+    speed: float | None = None
 
     @property
     def length(self) -> float:
         """Deposited length [m]."""
         return float(self.s[-1])
+
+    def commanded(self, usual: float) -> float:
+        """Commanded speed [m/s], where the process's is `usual`."""
+        return usual if self.speed is None else self.speed
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from planner.problem.layers import (
     WaypointLayersSpec,
 )
 from planner.toolpath.bead import Toolpath
+from planner.toolpath.speeds import check_layers, with_speeds
 from planner.toolpath.workload import check_laid
 
 # Module and function of each source. Only that of the problem is loaded: what reads drawings, meshes and CAD files takes a
@@ -49,13 +50,15 @@ def build_toolpath(problem: Problem) -> Toolpath:
     """Read the source, round its corners and lay its beads in print order.
 
     Beads to which their source gives no material are of the layers' own.
-    Raises InputError for a file that cannot be read, for a drawing that does not fit on the part, and for what is too much
-    to plan.
+    Raises InputError for a file that cannot be read, for a drawing that does not fit on the part, for layers and beads that
+    the process names and that there are not, and for what is too much to plan.
     """
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
     check_laid(problem, toolpath)
+    check_layers(problem, toolpath)
+    toolpath = with_speeds(problem, toolpath)
     materials = problem.process.materials
     if not materials:
         return toolpath

@@ -207,7 +207,8 @@ def make_tasks(
     where: Complaint | None = None,
     travel_speed: float = math.inf,
 ) -> tuple[NozzleTask, ...]:
-    """One task a bead, in print order; speeds [m/s], length of run-in and run-out [m], their ramp as in `with_runs`.
+    """One task a bead, in print order; speeds [m/s], that of beads without one of their own; length of run-in and run-out
+    [m], their ramp as in `with_runs`.
 
     Raises InputError, made by `where`, for the shortest bead if that is too short to be laid with this fibre.
     """
@@ -225,7 +226,8 @@ def make_tasks(
         frames = np.stack([x, np.cross(z, x), z], axis=-1)
         samples = (run.points, frames, run.s, run.first, run.last)
         judged = run.normals if cones.tilt > 0.0 else None
-        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, speed, cones, stops, travel_speed, judged))
+        own = bead.commanded(speed)
+        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, own, cones, stops, travel_speed, judged))
     return tuple(tasks)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +16,7 @@ from planner.cell.cell import Cell
 from planner.collision.print_body import PrintBody
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
+from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Toolpath
 from planner.verify.executed import ExecutedMotion
 
@@ -21,6 +24,7 @@ SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as a
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
 FAR = 50e-3  # m: distances are told apart up to this one; what is farther away counts as so far away
 TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
+_PIECE = re.compile(r", piece \d+$")  # behind the name of a drawn bead, where it is laid in pieces
 EVERYWHERE = "everywhere"  # the place of a check that holds at all places alike
 
 
@@ -45,6 +49,11 @@ class Judged:
         """Samples of each bead of the toolpath: see `samples_of`."""
         return samples_of(self.trajectory, len(self.toolpath.beads))
 
+    @cached_property
+    def commanded(self) -> Array:
+        """Speed (k) [m/s] that the problem asks for each bead of the toolpath: see `asked_speeds`."""
+        return asked_speeds(self.problem.process, self.toolpath)
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -53,6 +62,26 @@ class Findings:
     checks: tuple[Check, ...] = ()
     metrics: Mapping[str, float] = field(default_factory=dict)
     series: Mapping[str, Array] = field(default_factory=dict)
+
+
+def asked_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
+    """Speed (k) [m/s] that the process asks for each bead, by its layer, its name, and the time of its layer."""
+    names = [_PIECE.sub("", bead.name) for bead in toolpath.beads]
+    layers = np.array([bead.layer for bead in toolpath.beads])
+    speeds = np.full(len(names), process.speed)
+    for spec in process.speeds:
+        pattern = spec.beads.replace("[", "[[]")  # of the marks of a pattern only * and ? are
+        called = np.array([fnmatchcase(name, pattern) for name in names])
+        last = np.inf if spec.to_layer is None else spec.to_layer
+        speeds[called & (layers + 1 >= spec.from_layer) & (layers + 1 <= last)] = spec.speed
+    if process.layer_time is None:
+        return speeds
+    which = np.unique(layers, return_inverse=True)[1]
+    length = np.array([bead.length for bead in toolpath.beads])
+    share = np.minimum(np.bincount(which, length / speeds)[which] / process.layer_time.least, 1.0)
+    share[layers == layers[np.argmax([np.argmax(layers == layer) for layer in layers])]] = 1.0  # the one begun last
+    lowest = np.minimum(speeds, process.layer_time.floor(process.speed))
+    return np.asarray(np.maximum(share * speeds, lowest))
 
 
 def joined(parts: Sequence[Findings]) -> Findings:

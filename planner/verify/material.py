@@ -19,7 +19,6 @@ from planner.plan.plan import NONE, filament_areas, selected
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.checks import EVERYWHERE, SPEED_TOLERANCE, Findings, Judged, check_most, place
-from planner.verify.executed import ExecutedMotion
 
 Samples = NDArray[np.intp]
 
@@ -76,10 +75,10 @@ def extrusion(judged: Judged) -> Findings:
     problem, t, samples = judged.problem, judged.trajectory, judged.samples
     process, lag = problem.process, problem.process.extruder.lag
     volumes = [volume_of(bead, process) for bead in judged.toolpath.beads]
-    sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(process, t, judged.motion) * t.dt
+    sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(judged) * t.dt
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
-    worst, where = _per_millimetre(process, t, volumes, samples, _leaving(pressed, t.dt, lag))
+    worst, where = _per_millimetre(judged, volumes, _leaving(pressed, t.dt, lag))
     near = _near_ends(t, lag)
     checks: list[Check] = []
     metrics: dict[str, float] = {}
@@ -87,7 +86,7 @@ def extrusion(judged: Judged) -> Findings:
     if process.extruder.motor == "on_off":
         late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
         over = _over_extruded(t, volumes, samples)
-        checks.append(_runs_while_laying(process, t, volumes, samples))
+        checks.append(_runs_while_laying(judged, volumes))
         checks.append(_keeps_pace(t, late, sample))
         series["over_extruded_mm3"] = over * 1e9
         metrics["over_extruded_mm3"] = float(over.sum()) * 1e9
@@ -108,11 +107,12 @@ def extrusion(judged: Judged) -> Findings:
     return Findings(tuple(checks), metrics, series)
 
 
-def _fastest(process: ProcessSpec, t: Trajectory, motion: ExecutedMotion) -> float:
+def _fastest(judged: Judged) -> float:
     """Greatest speed [m/s] at which material is laid: in a bead, or from its last sample to the next one, where it ends."""
+    t = judged.trajectory
     ending = t.deposit[1:] != t.deposit[:-1]
-    step = np.linalg.norm(np.diff(motion.tip, axis=0)[ending], axis=1).max(initial=0.0) / t.dt
-    most = process.speed * (1.0 + SPEED_TOLERANCE)
+    step = np.linalg.norm(np.diff(judged.motion.tip, axis=0)[ending], axis=1).max(initial=0.0) / t.dt
+    most = float(judged.commanded.max()) * (1.0 + SPEED_TOLERANCE)
     return max(float(t.speed[t.deposit].max(initial=0.0)), min(float(step), most))
 
 
@@ -197,21 +197,22 @@ def _behind(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]
     return np.asarray(np.maximum(np.abs(t.extruded - expected), late))
 
 
-def _runs_while_laying(
-    process: ProcessSpec, t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]
-) -> Check:
+def _runs_while_laying(judged: Judged, volumes: Sequence[Volume]) -> Check:
     """A motor that is only on or off runs exactly while a bead is laid, at the rate of the commanded speed."""
+    t = judged.trajectory
+    rates = np.array([volume.total / volume.s[-1] for volume in volumes]) * judged.commanded
     rate = np.zeros(len(t))
-    for at, volume in zip(samples, volumes, strict=True):
-        rate[at] = volume.total / volume.s[-1] * process.speed
+    for at, own in zip(judged.samples, rates, strict=True):
+        rate[at] = own
     changes = t.bead[1:] != t.bead[:-1]  # between two samples, at an instant that the samples do not tell
     ends = t.deposit & (np.append(True, changes) | np.append(changes, True))
     off = np.maximum(np.abs(t.flow - rate) - np.where(ends, 0.5 * rate, 0.0), 0.0)
     grown, most = np.diff(t.extruded) / t.dt, np.maximum(rate[1:], rate[:-1])
     least = np.where(changes, 0.0, most)
     off[1:] = np.maximum(off[1:], np.maximum(grown - most, least - grown))
-    scale = max(volume.total / volume.s[-1] for volume in volumes[t.first_bead :]) * process.speed
-    return check_most(t, "motor runs while a bead is laid", off / scale, EXTRUSION_TOLERANCE, "of its rate")
+    return check_most(
+        t, "motor runs while a bead is laid", off / rates[t.first_bead :].max(), EXTRUSION_TOLERANCE, "of its rate"
+    )
 
 
 def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples]) -> Array:
@@ -225,21 +226,19 @@ def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[S
     return over
 
 
-def _per_millimetre(
-    process: ProcessSpec, t: Trajectory, volumes: Sequence[Volume], samples: Sequence[Samples], out: Array
-) -> tuple[float, str]:
+def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array) -> tuple[float, str]:
     """Largest share by which a millimetre of a bead gets more or less than it holds, and where.
 
     Counted three times: by what leaves a nozzle that lags its motor (out (n) [m^3], beyond lag zones), by the record of
     what has been extruded, and by the flow.
     """
-    worst, where = 0.0, EVERYWHERE
-    stretch = max(MILLIMETRE, RESOLVED * t.dt * process.speed)
+    process, t, worst, where = judged.problem.process, judged.trajectory, 0.0, EVERYWHERE
     zone = process.extruder.lag + ZONE_SAMPLES * t.dt if process.extruder.lag > 0.0 else 0.0
-    for i, (at, volume) in enumerate(zip(samples, volumes, strict=True)):
+    for i, (at, volume) in enumerate(zip(judged.samples, volumes, strict=True)):
         if len(at) < 2:
             continue  # which is another check's to say
         length = float(volume.s[-1])
+        stretch = max(MILLIMETRE, RESOLVED * t.dt * float(judged.commanded[i]))
         places = np.linspace(0.0, length, STEPS * max(1, int(length / stretch)) + 1)
         holds = volume.to(places)
         holds = holds[STEPS:] - holds[:-STEPS]
@@ -367,8 +366,8 @@ def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
         found = [event for event in t.events if event.kind == "change" and event.bead == i]
         missing = change.time
         if len(found) == 1 and found[0].material == after.material:
-            purged = sum(event.amount for event in purges if event.bead == i)
-            missing = change.time - _rest(t, found[0], change.wait, change.time)
+            purged = sum(event.amount for event in purges if event.bead == i and event.material == after.material)
+            missing = change.time - rest(t, found[0], change.wait, change.time)
             missing += abs(found[0].duration - change.wait) + abs(purged - change.purge) / change.purge_speed
         if not missing <= worst:
             worst, where = missing, f"before bead {i}"
@@ -376,7 +375,7 @@ def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
     return Check("rest for a change of material", worst, limit, "s missing", worst <= limit + INSTANT, where)
 
 
-def _rest(t: Trajectory, event: Event, wait: float, time: float) -> float:
+def rest(t: Trajectory, event: Event, wait: float, time: float) -> float:
     """How long [s] the robot stands still in the `time` from an event on, no filament moves in the first `wait` of it."""
     first, silent, last = np.searchsorted(t.t, event.start + np.array([-INSTANT, wait + INSTANT, time + INSTANT]))
     still = np.abs(np.diff(t.q[first:last], axis=0)).max(axis=1, initial=0.0) < STILL

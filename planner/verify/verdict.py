@@ -24,6 +24,7 @@ from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
+from planner.verify.by_layer import by_layer
 from planner.verify.checks import (
     DIGITS,
     EVERYWHERE,
@@ -107,6 +108,7 @@ def verify(
             _singularity(judged),
             _speed(judged),
             extrusion(judged),
+            by_layer(judged),
             pressed(judged),
             _tip_outside(judged),
         ]
@@ -285,7 +287,7 @@ def _to_gravity(judged: Judged, normals: Array) -> Iterator[tuple[Check, Array]]
 def _coverage(judged: Judged) -> Findings:
     """Every bead from the first one on is laid down once, in order, from its start to its end, always forwards."""
     t, toolpath = judged.trajectory, judged.toolpath
-    step = judged.problem.process.speed * t.dt * (1.0 + SPEED_TOLERANCE)
+    step = float(judged.commanded.max()) * t.dt * (1.0 + SPEED_TOLERANCE)
     worst, where = 0.0, EVERYWHERE
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
     beads = toolpath.beads
@@ -344,7 +346,7 @@ def _singularity(judged: Judged) -> Findings:
 def _speed(judged: Judged) -> Findings:
     """Speed of the tip along the part, from the tip itself; dips are counted, excess fails."""
     process, t, motion = judged.problem.process, judged.trajectory, judged.motion
-    commanded = process.speed
+    commanded = np.where(t.deposit, judged.commanded[t.bead], judged.commanded.max())
     step = np.linalg.norm(np.diff(motion.tip, axis=0), axis=1) / t.dt
     # in a bead along the path, since chords cut sharp corners: that the tip is on the path at s is checked elsewhere
     inside = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
@@ -362,7 +364,9 @@ def _speed(judged: Judged) -> Findings:
     slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
     deposited = mean[t.deposit].sum()
-    fastest = check_most(t, "speed in deposition", fast * 1e3, limit * 1e3, "mm/s")
+    fastest = _fastest(judged, fast, limit)
+    laid = slice(t.first_bead, None)
+    lengths = np.array([bead.length for bead in judged.toolpath.beads])
     return Findings(
         (
             fastest,
@@ -370,13 +374,28 @@ def _speed(judged: Judged) -> Findings:
             check_most(t, "speed in travel", travel * 1e3, process.travel_speed * 1e3, "mm/s"),
         ),
         {
-            "speed_max_mm_s": fastest.worst,
+            "speed_max_mm_s": float(fast.max()) * 1e3,
             "speed_min_mm_s": float(slow.min()) * 1e3 if len(slow) else 0.0,
             "at_speed_fraction": float(mean[at_speed].sum() / deposited) if deposited else 0.0,
             "deposition_time_s": float(t.deposit.sum() * t.dt),
-            "ideal_deposition_time_s": sum(bead.length for bead in judged.toolpath.beads[t.first_bead :]) / commanded,
+            "ideal_deposition_time_s": float((lengths / judged.commanded)[laid].sum()),
             "print_time_s": float(t.t[-1]),
         },
+    )
+
+
+def _fastest(judged: Judged, fast: Array, limit: Array) -> Check:
+    """The check that the tip (n) [m/s] keeps to its limit (n), at the sample that exceeds it most or comes nearest to it."""
+    i = int(np.argmax(fast / limit))
+    worst, most = float(fast[i]) * 1e3, float(limit[i]) * 1e3
+    return Check(
+        "speed in deposition",
+        worst,
+        most,
+        "mm/s",
+        worst <= most * (1.0 + DIGITS),
+        place(judged.trajectory, i),
+        sample=i,
     )
 
 

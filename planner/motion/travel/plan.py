@@ -22,6 +22,7 @@ from planner.motion.travel.clearance import TravelClearance, fine, glance, track
 from planner.motion.travel.detours import FITS, along_tips, arc, around
 from planner.motion.travel.moves import between
 from planner.motion.travel.ways import Built, Caps, Ends, at_rest, reaching
+from planner.motion.visits import visits
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.runs import least_travel_time
@@ -90,8 +91,8 @@ def plan_travels(
 
     timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
 
-    With the runs beside it each leaves the extruder the time to retract and prime. Between beads of two materials it
-    goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
+    With the runs beside it each leaves the extruder the time to retract and prime. Where there is something to wait for
+    (see `visits`) it goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
     """
     beads, before = toolpath.beads, len(toolpath.beads) - len(timed)
     surfaces = [toolpath.surface.before(i) for i in range(len(beads) + 1)]
@@ -100,6 +101,7 @@ def plan_travels(
     ]
     printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
     travels: list[Travel] = []
+    by_home = visits(process, beads, timed)
     bounds = ways.bounds_of(cell)
 
     def way(i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
@@ -121,7 +123,7 @@ def plan_travels(
         reach = timed[k] if k < len(timed) else None
         start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
         end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
-        if leave is None or reach is None or beads[i - 1].material == beads[i].material:
+        if leave is None or reach is None or i not in by_home:
             travels.append(way(i, start, end, leave, reach))
         else:
             home = _home_beside(cell, start)

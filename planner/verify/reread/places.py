@@ -58,7 +58,7 @@ def places_of(judged: Judged) -> Places:
 
 def between(judged: Judged) -> float:
     """How far apart places of the motion may be [m], and the ends of a bead from the first and the last of them."""
-    return max(APART, judged.problem.process.speed * judged.trajectory.dt)
+    return max(APART, float(judged.commanded.max()) * judged.trajectory.dt)
 
 
 def begun_layers(judged: Judged) -> set[int]:

@@ -1,0 +1,97 @@
+"""What differs from layer to layer, or from bead to bead: speeds, least times, and pauses."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, model_validator
+
+from planner.problem.fields import TEXT, Quantity, Section, key, refusal
+from planner.problem.yaml_file import describe
+
+Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
+LayerNumber = Annotated[int, Quantity("", 1, 100_000, whole=True)]
+
+LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that what happens before and after never falls into the same one
+_SLOWEST = 0.5  # of the process's speed, where nothing else is given: below, thin beads drag and pull off
+_MOST = 1000
+
+
+def _few(value: Any) -> Any:
+    if isinstance(value, list | tuple) and len(value) > _MOST:
+        raise refusal(f"must be a list of at most {_MOST}, not of {len(value)}", None)
+    return value
+
+
+class SpeedSpec(Section):
+    """A speed of some beads: by their layers, their names, or both."""
+
+    speed: Speed = key("speed_mm_s", "speed of the nozzle along the part while printing these beads [mm/s]")
+    from_layer: LayerNumber = key("from_layer", "the first layer that it is for, counted from 1", 1)
+    to_layer: LayerNumber | None = key("to_layer", "the last layer that it is for; default: the last of all", None)
+    beads: Annotated[str, TEXT] = key(
+        "beads", "names of the beads that it is for, as the report has them; * stands for any letters, ? for one", "*"
+    )
+
+    @model_validator(mode="after")
+    def _some_layers(self) -> SpeedSpec:
+        if self.to_layer is not None and self.to_layer < self.from_layer:
+            reason = f"to_layer is {self.to_layer}, before from_layer {self.from_layer}"
+            raise refusal(reason, "a later one", fields=["from_layer", "to_layer"])
+        return self
+
+    def covers(self, name: str, layer: int) -> bool:
+        """Whether it is for a bead of that name in that layer, counted from 0."""
+        last = layer + 1 if self.to_layer is None else self.to_layer
+        pattern = re.escape(self.beads).replace(r"\*", ".*").replace(r"\?", ".")
+        return self.from_layer <= layer + 1 <= last and re.fullmatch(pattern, name, re.DOTALL) is not None
+
+
+class LayerTimeSpec(Section):
+    """How long a layer takes at least, so that it is firm before the next one comes."""
+
+    least: Annotated[float, Quantity("s", LEAST_WAIT, 3600)] = key(
+        "least_s", "time from a layer's beginning to the next one's, at least [s]"
+    )
+    slowest: Speed | None = key(
+        "slowest_mm_s",
+        "speed down to which beads of a short layer are laid more slowly [mm/s]; what is missing still is waited for at home; "
+        f"default: {_SLOWEST:g} of speed_mm_s",
+        None,
+    )
+
+    def floor(self, usual: float) -> float:
+        """Speed [m/s] that beads are slowed down to at most, where the process's is `usual`."""
+        return _SLOWEST * usual if self.slowest is None else self.slowest
+
+
+class PauseSpec(Section):
+    """A rest at home before a layer, to put something in, or for another spool."""
+
+    before_layer: Annotated[int, Quantity("", 2, 100_000, whole=True)] = key(
+        "before_layer", "the layer that it comes before, counted from 1"
+    )
+    wait: Annotated[float, Quantity("s", LEAST_WAIT, 3600)] = key("wait_s", "time that the robot rests at home [s]")
+    what: Annotated[str, TEXT] = key("for", "what it is for, in words that stand in the programs", "pause")
+    purge: Annotated[float, Quantity("mm", 0, 1000)] = key(
+        "purge_mm", "filament pushed out behind the wait, as after another spool [mm]; 0 is none", 0
+    )
+    purge_speed: Annotated[float, Quantity("mm/s", 0.1, 200)] = key(
+        "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
+    )
+
+    @model_validator(mode="after")
+    def _plain_words(self) -> PauseSpec:
+        if not self.what.isprintable() or not self.what.isascii():
+            raise refusal(f"for cannot be {describe(self.what)}", "plain letters: robots read them", fields=["for"])
+        return self
+
+    @property
+    def time(self) -> float:
+        """How long the robot rests at home for it [s]."""
+        return self.wait + self.purge / self.purge_speed
+
+
+Speeds = Annotated[tuple[SpeedSpec, ...], BeforeValidator(_few)]
+Pauses = Annotated[tuple[PauseSpec, ...], BeforeValidator(_few)]

@@ -1,0 +1,100 @@
+"""Commanded speeds of beads: the process's, those of some layers or beads, and lower ones in layers that would be too quick."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import nearest_name
+from planner.problem import Problem
+from planner.problem.process import ProcessSpec
+from planner.toolpath.bead import Toolpath
+
+_MOST_NAMES = 6  # of beads in a hint
+
+
+def check_layers(problem: Problem, toolpath: Toolpath) -> None:
+    """Raise the InputError of a speed that is no bead's, and of a pause before a layer that there is not; but where fewer
+    layers are printed than the file says, both may be of those that are not."""
+    if problem.sources.override(("layers", "count")) is not None:
+        return
+    process, count = problem.process, 1 + max(bead.layer for bead in toolpath.beads)
+    for k, spec in enumerate(process.speeds):
+        if any(spec.covers(bead.name, bead.layer) for bead in toolpath.beads):
+            continue
+        if spec.from_layer > count:
+            reason = f"there is no layer {spec.from_layer}"
+            raise problem.error(f"process.speeds.{k}.from_layer", reason, f"there are {count}, counted from 1")
+        names = list(dict.fromkeys(bead.name for bead in toolpath.beads))
+        near = nearest_name(spec.beads, names)
+        some = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
+        where = "" if spec.from_layer == 1 and spec.to_layer is None else " in these layers"
+        reason = f"no bead{where} is called {spec.beads!r}"
+        raise problem.error(f"process.speeds.{k}.beads", reason, f"did you mean {near}?" if near else f"names: {some}")
+    for k, pause in enumerate(process.pauses):
+        if pause.before_layer > count:
+            reason = f"there is no layer {pause.before_layer}"
+            hint = f"there are {count}, counted from 1" if count > 1 else "there is one layer"
+            raise problem.error(f"process.pauses.{k}.before_layer", reason, hint)
+
+
+def with_speeds(problem: Problem, toolpath: Toolpath) -> Toolpath:
+    """The toolpath whose beads have their own speeds where these are not the process's; what is slowed down is noted."""
+    process = problem.process
+    if not process.speeds and process.layer_time is None:
+        return toolpath
+    speeds, notes = commanded_speeds(process, toolpath), toolpath.notes
+    if process.layer_time is not None:
+        asked = commanded_speeds(process.model_copy(update={"layer_time": None}), toolpath)
+        slowed = {bead.layer + 1 for bead, v, w in zip(toolpath.beads, speeds, asked, strict=True) if v < w}
+        if slowed:
+            notes = (*notes, _slowed(slowed, float(speeds.min())))
+    beads = tuple(
+        bead if v == process.speed else replace(bead, speed=float(v))
+        for bead, v in zip(toolpath.beads, speeds, strict=True)
+    )
+    return replace(toolpath, beads=beads, notes=notes)
+
+
+def _slowed(layers: set[int], lowest: float) -> str:
+    """Which layers are laid more slowly, in words; lowest speed [m/s]."""
+    few = f"layer {min(layers)} is" if len(layers) == 1 else f"{len(layers)} layers are"
+    return f"{few} laid more slowly than asked, down to {lowest * 1e3:.3g} mm/s, so that the next comes no sooner than asked"
+
+
+def commanded_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
+    """Speed (beads) [m/s] of each bead: of the rules that cover it the last one's.
+
+    A layer whose beads would take less time than a layer must is laid more slowly, all of its beads by the same share,
+    but none slower than the process allows: what is missing then is waited for at home.
+    """
+    speeds = np.full(len(toolpath.beads), process.speed)
+    for spec in process.speeds:
+        for i, bead in enumerate(toolpath.beads):
+            if spec.covers(bead.name, bead.layer):
+                speeds[i] = spec.speed
+    if process.layer_time is None:
+        return speeds
+    floor = process.layer_time.floor(process.speed)
+    for own in list(beads_by_layer(toolpath).values())[:-1]:  # nothing comes on the last one
+        times = np.array([toolpath.beads[i].length for i in own]) / speeds[own]
+        share = min(1.0, float(times.sum()) / process.layer_time.least)
+        speeds[own] = np.minimum(speeds[own], np.maximum(share * speeds[own], floor))
+    return speeds
+
+
+def beads_by_layer(toolpath: Toolpath) -> dict[int, list[int]]:
+    """Indices of beads, in their order, by layer; layers in the order in which they begin."""
+    found: dict[int, list[int]] = defaultdict(list)
+    for i, bead in enumerate(toolpath.beads):
+        found[bead.layer].append(i)
+    return dict(found)
+
+
+def mean_speed(process: ProcessSpec, toolpath: Toolpath) -> float:
+    """Length of all beads over the time that they take at their commanded speeds [m/s]."""
+    length = sum(bead.length for bead in toolpath.beads)
+    return length / sum(bead.length / bead.commanded(process.speed) for bead in toolpath.beads)

@@ -1,0 +1,93 @@
+"""What the problem asks of layers: how long each takes at least, and rests at home before some.
+
+Worked out anew here, from the samples (n) and the input alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.plan import Check, Event, Trajectory
+from planner.problem.by_layer import PauseSpec
+from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least
+from planner.verify.material import INSTANT, SAMPLES, rest
+
+AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
+AMOUNT = 1e-9  # m of filament
+
+
+def by_layer(judged: Judged) -> Findings:
+    """Checks of what is asked of layers; none where nothing is."""
+    process = judged.problem.process
+    checks = () if process.layer_time is None else (_times(judged, process.layer_time.least),)
+    return Findings((*checks, _pauses(judged)) if process.pauses else checks)
+
+
+def _times(judged: Judged, least: float) -> Check:
+    """From where a layer begins to where the next one does passes the time [s] that a layer takes at least."""
+    t = judged.trajectory
+    times = np.full(len(t), least)
+    begins = [first for first, _ in _begun(judged)]
+    times[begins[1:]] = np.diff(t.t[begins])
+    return check_least(t, "time of a layer", times, least - SAMPLES * t.dt, "s")
+
+
+def _begun(judged: Judged) -> Iterator[tuple[int, int]]:
+    """The first sample of each layer that is begun, in order of time, and its bead."""
+    t = judged.trajectory
+    laid = np.flatnonzero(t.deposit)
+    layers = np.array([bead.layer for bead in judged.toolpath.beads])[t.bead[laid]]
+    there = {bead.layer for bead in judged.toolpath.beads[: t.first_bead]}
+    first = np.sort(np.unique(layers, return_index=True)[1])
+    for k in first.tolist():
+        if layers[k] not in there or k == 0:
+            yield int(laid[k]), int(t.bead[laid[k]])
+
+
+def _pauses(judged: Judged) -> Check:
+    """Before each layer that asks for it the robot rests at home, and what is to be purged then is."""
+    t, worst, where = judged.trajectory, 0.0, EVERYWHERE
+    layers = {judged.toolpath.beads[bead].layer: bead for sample, bead in list(_begun(judged))[1:]}
+    asked = {
+        layers[pause.before_layer - 1]: pause
+        for pause in judged.problem.process.pauses
+        if pause.before_layer - 1 in layers
+    }
+    found = [event for event in t.events if event.kind == "pause"]
+    for bead, pause in asked.items():
+        own = [event for event in found if event.bead == bead]
+        missing = _missing(judged, own[0], pause) if len(own) == 1 else pause.time
+        if not missing <= worst:
+            worst, where = missing, f"before bead {bead}"
+    limit = SAMPLES * t.dt
+    ok = worst <= limit + INSTANT and len(found) == len(asked)
+    return Check("pauses before layers", worst, limit, "s missing", ok, where)
+
+
+def _missing(judged: Judged, event: Event, pause: PauseSpec) -> float:
+    """How much [s] of a pause is missing."""
+    t, arm = judged.trajectory, len(judged.cell.arm)
+    first, last = np.searchsorted(t.t, event.start + np.array([INSTANT, pause.time - INSTANT]))
+    away = np.abs(t.q[first:last, :arm] - judged.cell.home[:arm]).max(initial=0.0)
+    if away > AT_HOME or _ends_behind(t, event):
+        return pause.time
+    purged = sum(
+        each.amount
+        for each in t.events
+        if each.kind == "purge" and each.bead == event.bead and abs(each.start - event.start - pause.wait) < INSTANT
+    )
+    lacking = abs(purged - pause.purge)
+    missing = pause.time - rest(t, event, pause.wait, pause.time) + abs(event.duration - pause.wait)
+    return missing + (lacking / pause.purge_speed if lacking > AMOUNT else 0.0)
+
+
+def _ends_behind(t: Trajectory, event: Event) -> bool:
+    """Whether an event does not end before its bead begins, or begins before the bead before ends."""
+    laid = np.flatnonzero(t.deposit)
+    rows = laid[np.searchsorted(t.bead[laid], event.bead) :][:1]
+    before = laid[laid < rows[0]][-1:] if len(rows) else rows
+    return not (len(rows) and t.t[rows[0]] >= event.start + event.duration - INSTANT) or bool(
+        len(before) and t.t[before[0]] > event.start + INSTANT
+    )

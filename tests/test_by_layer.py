@@ -1,0 +1,349 @@
+"""What differs by layer: speeds of layers and beads, how long a layer takes at least, pauses; in the plan, in what is checked
+and in what is written."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from solved import solve_alone, write_small
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.export.extruder import FILE, differences, gcode
+from planner.export.languages import LANGUAGES
+from planner.export.plan_json import plan_json
+from planner.plan import Event, Plan
+from planner.planning.check_command import one_layer
+from planner.planning.pipeline import solve
+from planner.problem import Problem, load_problem
+from planner.problem.by_layer import LayerTimeSpec, SpeedSpec
+from planner.problem.process import ProcessSpec
+from planner.report.summary import print_summary
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.toolpath.speeds import commanded_speeds, mean_speed
+from planner.toolpath.split import split_toolpath
+from planner.verify.checks import asked_speeds
+from planner.verify.verdict import verify
+
+MM = 1e-3
+THREE = ("  count: 1", "  count: 3")
+SPEED = "  speed_mm_s: 40\n"
+SPEEDS = """\
+  speeds:
+    - {to_layer: 1, speed_mm_s: 20}
+    - {beads: 'ri?g*', from_layer: 2, speed_mm_s: 30}
+"""
+PAUSE = "  pauses: [{before_layer: 3, wait_s: 3, for: put the nut in, purge_mm: 10}]\n"
+COOL = "  layer_time: {least_s: 12, slowest_mm_s: 15}\n"
+ALL = SPEED + SPEEDS + PAUSE + COOL + "  retract: {length_mm: 1}\n  prime: {length_mm: 1}\n"
+
+
+def problem_of(process: str, *changes: tuple[str, str]) -> Problem:
+    with tempfile.TemporaryDirectory() as folder:
+        return load_problem(write_small(Path(folder), THREE, (SPEED, process), *changes))
+
+
+def toolpath_of(process: str, *changes: tuple[str, str], overrides: tuple[str, ...] = ()) -> tuple[Problem, Toolpath]:
+    with tempfile.TemporaryDirectory() as folder:
+        problem = load_problem(write_small(Path(folder), THREE, (SPEED, process), *changes), overrides)
+        return problem, build_toolpath(problem)
+
+
+@cache
+def by_layer() -> Plan:
+    """The small print in three layers with all that can be asked of layers, solved once."""
+    with tempfile.TemporaryDirectory() as folder:
+        return solve_alone(load_problem(write_small(Path(folder), THREE, (SPEED, ALL))))
+
+
+def failed(plan: Plan) -> set[str]:
+    checks = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory).checks
+    return {check.name for check in checks if not check.ok}
+
+
+def begins(plan: Plan) -> Array:
+    """When layers begin [s]."""
+    t = plan.trajectory
+    laid = np.flatnonzero(t.deposit)
+    return np.array([t.t[laid[t.layer[laid] == layer][0]] for layer in range(3)])
+
+
+# --- the problem file --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("process", "field", "reason", "hint"),
+    [
+        ("  speeds: [{speed_mm_s: 20, from_layer: 3, to_layer: 2}]\n", "process.speeds.from_layer", "to_layer is 2", "a later one"),
+        ("  speeds: [{from_layer: 3}]\n", "process.speeds.speed_mm_s", "is missing", "speed of the nozzle"),
+        ("  speeds: [{speed: 20}]\n", "process.speeds.speed", "unknown key", "speed_mm_s"),
+        ("  speeds: 20\n", "process.speeds", "must be a list", "other speeds"),
+        ("  speeds: [{speed_mm_s: 20}, {speed_mm_s: 0}]\n", "process.speeds.speed_mm_s", "0", "0.1 to 2000"),
+        ("  layer_time: {}\n", "process.layer_time.least_s", "is missing", "time from a layer's beginning"),
+        ("  layer_time: {least_s: 9, slowest_mm_s: 41}\n", "process.layer_time", "slowest_mm_s is 41", "a lower one"),
+        ("  pauses: [{before_layer: 1, wait_s: 3}]\n", "process.pauses.before_layer", "1", "2 to 100000"),
+        ("  pauses: [{before_layer: 2, wait_s: 3}, {before_layer: 2, wait_s: 4}]\n", "process.pauses", "two pauses before layer 2", "one of them"),
+        ("  pauses: [{before_layer: 2, wait_s: 3, for: 'Öffnen'}]\n", "process.pauses.for", "cannot be", "plain letters"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_asked_of_layers(process: str, field: str, reason: str, hint: str) -> None:
+    with pytest.raises(InputError) as caught:
+        problem_of(SPEED + process)
+    error = caught.value
+    assert (error.field, error.line is not None) == (field, True)
+    assert reason in error.reason
+    assert hint in (error.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("process", "field", "reason", "hint"),
+    [
+        ("  speeds: [{speed_mm_s: 20, from_layer: 4}]\n", "process.speeds.from_layer", "there is no layer 4", "there are 3"),
+        ("  speeds: [{speed_mm_s: 20, beads: rign}]\n", "process.speeds.beads", "no bead is called 'rign'", "did you mean ring?"),
+        ("  speeds: [{speed_mm_s: 20, beads: 'top*'}]\n", "process.speeds.beads", "no bead is called 'top*'", "wave"),
+        ("  pauses: [{before_layer: 4, wait_s: 3}]\n", "process.pauses.before_layer", "there is no layer 4", "there are 3"),
+    ],
+)  # fmt: skip
+def test_layers_and_beads_that_there_are_not(process: str, field: str, reason: str, hint: str) -> None:
+    with pytest.raises(InputError) as caught:
+        toolpath_of(SPEED + process)
+    assert (caught.value.field, caught.value.reason) == (field, reason)
+    assert hint in (caught.value.hint or "")
+
+
+def test_a_draft_of_some_layers_ignores_what_is_asked_of_others() -> None:
+    process = SPEED + "  speeds: [{speed_mm_s: 20, from_layer: 3}]\n" + PAUSE
+    problem, toolpath = toolpath_of(process, overrides=("layers.count=1",))
+    assert [bead.commanded(problem.process.speed) for bead in toolpath.beads] == [0.04] * 3
+    one = one_layer(problem_of(process)).process
+    assert (one.speeds, one.pauses, one.layer_time) == ((), (), None)
+
+
+# --- speeds ------------------------------------------------------------------------------------------------
+
+
+def test_of_several_speeds_of_a_bead_the_last_counts() -> None:
+    problem, toolpath = toolpath_of(
+        SPEED + SPEEDS + "    - {beads: wave, from_layer: 3, to_layer: 3, speed_mm_s: 60}\n"
+    )
+    found = {(bead.layer, bead.name): bead.commanded(problem.process.speed) / MM for bead in toolpath.beads}
+    assert found == pytest.approx(
+        {(0, name): 20 for name in ("zigzag", "ring", "wave")}
+        | {(k, "zigzag"): 40 for k in (1, 2)}
+        | {(k, "ring"): 30 for k in (1, 2)}
+        | {(1, "wave"): 40, (2, "wave"): 60}
+    )
+    lengths = np.array([bead.length for bead in toolpath.beads])
+    time = (lengths / commanded_speeds(problem.process, toolpath)).sum()
+    assert mean_speed(problem.process, toolpath) == pytest.approx(lengths.sum() / time)
+
+
+def test_names_are_patterns_of_stars_and_question_marks_alone() -> None:
+    def covers(beads: str, name: str) -> bool:
+        return SpeedSpec(speed_mm_s=20, beads=beads).covers(name, 0)
+
+    assert covers("path * (*infill)", "path 3 (Solid infill)")
+    assert covers("bead [a]", "bead [a]")
+    assert not covers("bead [a]", "bead a")
+    assert not covers("bead.", "beads")
+    assert covers("*", "any\nname")
+
+
+def test_a_layer_that_would_be_too_quick_is_laid_more_slowly_but_for_the_last_one() -> None:
+    problem, toolpath = toolpath_of(SPEED + SPEEDS + "  layer_time: {least_s: 4, slowest_mm_s: 10}\n")
+    speeds = np.array([bead.commanded(problem.process.speed) for bead in toolpath.beads])
+    lengths, layers = np.array([bead.length for bead in toolpath.beads]), np.array([b.layer for b in toolpath.beads])
+    times = np.bincount(layers, lengths / speeds)
+    assert times[0] > 4.0  # at 20 mm/s it takes long enough
+    assert times[1] == pytest.approx(4.0)
+    assert times[2] < 4.0
+    assert speeds[layers == 1].min() / speeds[layers == 1].max() == pytest.approx(30 / 40)
+    assert any("layer 2 is laid more slowly than asked" in note for note in toolpath.notes)
+
+
+@given(
+    rules=st.lists(
+        st.tuples(
+            st.floats(0.1, 2000), st.integers(1, 3), st.integers(0, 2), st.sampled_from(["*", "r?ng", "w*", "*g*"])
+        ),
+        max_size=4,
+    ),
+    least=st.none() | st.floats(0.1, 3600),
+)
+def test_the_verifier_asks_for_the_same_speeds(rules: list[tuple[float, int, int, str]], least: float | None) -> None:
+    process, toolpath = plain()
+    specs = tuple(
+        SpeedSpec(speed_mm_s=v, from_layer=k, to_layer=k + more if more else None, beads=beads)
+        for v, k, more, beads in rules
+    )
+    time = None if least is None else {"least_s": least}
+    changed = process.model_copy(update={"speeds": specs, "layer_time": time and LayerTimeSpec(**time)})
+    assert asked_speeds(changed, toolpath) == pytest.approx(commanded_speeds(changed, toolpath), rel=1e-9)
+
+
+@cache
+def plain() -> tuple[ProcessSpec, Toolpath]:
+    problem, toolpath = toolpath_of(SPEED)
+    return problem.process, toolpath
+
+
+def test_pieces_of_a_bead_are_as_quick_as_it_was() -> None:
+    problem, toolpath = toolpath_of(SPEED + SPEEDS + COOL)
+    ring = next(i for i, bead in enumerate(toolpath.beads) if (bead.layer, bead.name) == (1, "ring"))
+    pieces = split_toolpath(toolpath, {ring: [(0.5 * toolpath.beads[ring].length, "a test")]})
+    assert [bead.name for bead in pieces.beads[ring : ring + 2]] == ["ring, piece 1", "ring, piece 2"]
+    own = [bead.commanded(problem.process.speed) for bead in pieces.beads]
+    assert own == pytest.approx(asked_speeds(problem.process, pieces), rel=1e-6)
+
+
+# --- the plan ----------------------------------------------------------------------------------------------
+
+
+def test_the_motion_has_the_speeds_times_and_pauses_that_are_asked_for() -> None:
+    plan, t = by_layer(), by_layer().trajectory
+    assert plan.verified
+    assert plan.commanded / MM == pytest.approx([15] * 6 + [40, 40, 30])
+    for i, speed in enumerate(plan.commanded):
+        assert np.quantile(t.speed[t.bead == i], 0.7) == pytest.approx(speed, rel=0.02)
+        assert t.speed[t.bead == i].max() <= 1.02 * speed
+    first, second = np.diff(begins(plan))
+    assert first == pytest.approx(12.0, abs=2 * t.dt)
+    assert second > 12.0
+    (cool,) = [event for event in t.events if event.kind == "cool"]
+    assert cool.bead == 3
+    (pause,) = [event for event in t.events if event.kind == "pause"]
+    assert (pause.bead, pause.duration, pause.note) == (6, 3.0, "put the nut in")
+    (purge,) = [event for event in t.events if event.kind == "purge"]
+    assert (purge.bead, purge.start, purge.amount) == (6, pytest.approx(pause.start + 3.0), pytest.approx(10 * MM))
+    resting = (t.t >= pause.start) & (t.t <= pause.start + 5.0)
+    assert np.ptp(t.q[resting], axis=0).max() < 1e-9
+    arm = len(plan.cell.arm)
+    assert t.q[resting, :arm] == pytest.approx(np.tile(plan.cell.home[:arm], (resting.sum(), 1)), abs=1e-9)
+    lengths = np.array([bead.length for bead in plan.toolpath.beads])
+    assert plan.metrics["ideal_deposition_time_s"] == pytest.approx((lengths / plan.commanded).sum())
+    assert plan.metrics["at_speed_fraction"] > 0.8
+
+
+def test_dips_are_below_the_speed_of_their_own_bead() -> None:
+    plan = by_layer()
+    slow = {dip.bead for dip in plan.dips}
+    assert all(dip.speed < 0.99 * plan.commanded[dip.bead] for dip in plan.dips)
+    assert slow  # of the zig-zag at 40 mm/s at least
+    for dip in plan.dips:
+        assert plan.toolpath.beads[dip.bead].speed is None or all(remedy.kind != "speed" for remedy in dip.remedies)
+    assert all(each.kind != "speed" for each in plan.advice)
+
+
+def with_events(plan: Plan, change: Callable[[Event], Event | None]) -> Plan:
+    events = [change(event) for event in plan.trajectory.events]
+    told = tuple(event for event in events if event is not None)
+    return replace(plan, trajectory=replace(plan.trajectory, events=told))
+
+
+@pytest.mark.parametrize(
+    ("overrides", "check"),
+    [
+        ("process.layer_time.least_s=13.0", "time of a layer"),
+        ("process.pauses=[{before_layer: 3, wait_s: 3.1, purge_mm: 10}]", "pauses before layers"),
+        ("process.pauses=[{before_layer: 3, wait_s: 3, purge_mm: 11}]", "pauses before layers"),
+        ("process.pauses=[{before_layer: 2, wait_s: 3, purge_mm: 10}]", "pauses before layers"),
+        ("process.speeds=[{to_layer: 1, speed_mm_s: 14}, {beads: ring, from_layer: 2, speed_mm_s: 30}]", "speed in deposition"),
+        ("process.speeds=[{beads: ring, speed_mm_s: 20}]", "speed in deposition"),
+    ],
+)  # fmt: skip
+def test_the_verifier_holds_a_motion_against_what_is_asked(overrides: str, check: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        other = load_problem(write_small(Path(folder), THREE, (SPEED, ALL)), [overrides])
+    assert failed(replace(by_layer(), problem=other)) == {check}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda event: None if event.kind == "pause" else event,
+        lambda event: replace(event, start=event.start - 1.0) if event.kind == "pause" else event,
+        lambda event: replace(event, start=event.start + 1.0) if event.kind == "pause" else event,
+        lambda event: replace(event, duration=2.0) if event.kind == "pause" else event,
+        lambda event: replace(event, duration=np.nan) if event.kind == "pause" else event,
+        lambda event: replace(event, bead=5) if event.kind == "pause" else event,
+        lambda event: replace(event, kind="pause") if event.kind == "cool" else event,
+    ],
+)
+def test_a_pause_that_is_not_one_fails(change: Callable[[Event], Event | None]) -> None:
+    assert "pauses before layers" in failed(with_events(by_layer(), change))
+
+
+def test_a_pause_away_from_home_fails() -> None:
+    plan, t = by_layer(), by_layer().trajectory
+    (pause,) = [event for event in t.events if event.kind == "pause"]
+    q = t.q.copy()
+    q[(t.t >= pause.start - 1e-9) & (t.t <= pause.start + 5.0)] += 1e-3
+    assert "pauses before layers" in failed(replace(plan, trajectory=replace(t, q=q)))
+
+
+def test_a_print_that_is_resumed_has_the_pauses_that_are_left() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        problem = load_problem(write_small(Path(folder), THREE, (SPEED, ALL)))
+        rest, last = solve(problem, first_bead=4, baseline=False), solve(problem, first_bead=6, baseline=False)
+    assert rest.verified
+    assert last.verified
+    assert [event.bead for event in rest.trajectory.events if event.kind == "pause"] == [6]
+    assert [event.kind for event in last.trajectory.events if event.kind in ("pause", "cool")] == []
+
+
+def test_a_motor_that_is_on_or_off_runs_at_the_rate_of_each_bead() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        process = SPEED + SPEEDS + "  extruder: {motor: on_off}\n"
+        plan = solve_alone(load_problem(write_small(Path(folder), THREE, (SPEED, process))))
+    assert plan.verified, failed(plan)
+    t = plan.trajectory
+    rates = np.array([np.median(t.flow[t.bead == i]) for i in range(len(plan.beads))])
+    assert rates / 0.3e-6 == pytest.approx(plan.commanded, rel=1e-3)
+    assert set(plan.commanded) == {0.02, 0.03, 0.04}
+
+
+# --- what is written ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sync", ["signal", "free"])
+def test_the_extruders_board_pauses_too(sync: str) -> None:
+    plan = by_layer()
+    board = plan.problem.program.board.model_copy(update={"sync": sync})
+    program = plan.problem.program.model_copy(update={"board": board})
+    plan = replace(plan, problem=plan.problem.model_copy(update={"program": program}))
+    text = gcode(plan)
+    assert "; pause: put the nut in, bead 6\n" in text
+    assert "; cool, bead 3\n" in text
+    assert differences(plan, {FILE: text}) == []
+    assert differences(plan, {FILE: text.replace("; purge, bead 6\n", "; purge, bead 6\nG4 P500\n")}) != []
+
+
+@pytest.mark.parametrize("language", ["rapid", "krl"])
+def test_programs_rest_for_pauses_and_cooling(language: str) -> None:
+    plan = by_layer()
+    written = LANGUAGES[language].write(plan)
+    text = "\n".join(written.values())
+    assert "put the nut in" in text
+    assert LANGUAGES[language].differences(plan, written) == []
+
+
+def test_plan_and_summary_tell_what_is_waited_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = by_layer()
+    told = json.loads(plan_json(plan))["events"]
+    assert [event["note"] for event in told if event["kind"] == "pause"] == ["put the nut in"]
+    print_summary(replace(plan, timing_s={"total": 1.0}), tmp_path)
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 x pause (3 s)" in said
+    assert "layers are laid more slowly than asked" in said
+    names = {check["name"] for check in json.loads(plan_json(plan))["checks"]}
+    assert {"time of a layer", "pauses before layers"} <= names
