@@ -28,7 +28,7 @@ from planner.problem import Problem, load_problem
 from planner.problem.by_layer import LayerTimeSpec, SpeedSpec
 from planner.problem.process import ProcessSpec
 from planner.report.summary import print_summary
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.speeds import commanded_speeds, mean_speed
 from planner.toolpath.split import split_toolpath
@@ -347,3 +347,119 @@ def test_plan_and_summary_tell_what_is_waited_for(tmp_path: Path, capsys: pytest
     assert "layers are laid more slowly than asked" in said
     names = {check["name"] for check in json.loads(plan_json(plan))["checks"]}
     assert {"time of a layer", "pauses before layers"} <= names
+
+
+# --- seams and order ---------------------------------------------------------------------------------------
+
+
+def starts_of(toolpath: Toolpath) -> Array:
+    """Where closed beads start (k, 3) [m]."""
+    return np.array([bead.points[0] for bead in toolpath.beads if bead.closed])
+
+
+SQUARE = """\
+<svg xmlns="http://www.w3.org/2000/svg" width="30mm" height="24mm" viewBox="0 0 30 24">
+  <rect id="frame" x="1" y="1" width="28" height="22"/>
+  <circle id="ring" cx="9" cy="12" r="5"/>
+  <path id="line" d="M18,4 L24,20"/>
+</svg>
+"""
+
+
+def drawn(process: str, *overrides: str) -> Toolpath:
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_small(Path(folder), THREE, (SPEED, SPEED + process), svg=SQUARE)
+        return build_toolpath(load_problem(path, overrides))
+
+
+def on_a_plane(process: str) -> Toolpath:
+    overrides = (
+        "part={plane: {size_mm: [60, 60]}}",
+        "layers={source: {svg: small.svg, width_mm: 30}, project: z, count: 2, height_mm: 0.5}",
+    )
+    return drawn(process, *overrides)  # fmt: skip
+
+
+@pytest.mark.parametrize("lay", [drawn, on_a_plane])
+def test_closed_beads_begin_where_the_seam_is_asked_for(lay: Callable[[str], Toolpath]) -> None:
+    usual = lay("")
+    for towards in ([0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.5, 0.0]):
+        toolpath = lay(f"  seam: {{towards: {towards}}}\n")
+        for bead, other in zip(sorted_by_name(toolpath), sorted_by_name(usual), strict=True):
+            reach = bead.points @ np.array(towards)
+            if not bead.closed:
+                assert bead.length == pytest.approx(other.length, rel=1e-4)
+            elif bead.name == "ring":
+                assert reach[0] >= reach.max() - 0.01 * np.ptp(reach) - 1e-9
+            else:  # a tenth of each side of the frame is kept free of seams
+                assert reach[0] >= reach.max() - 0.35 * np.ptp(reach) - 1e-9
+            assert bead.length == pytest.approx(other.length, rel=2e-3)  # where no corner is, none is rounded
+        near = toolpath.beads[0].points.mean(axis=0) + np.array([0.0, 0.0, 0.05])
+        at = lay(f"  seam: {{near_mm: {[round(float(x) * 1e3, 3) for x in near]}}}\n")
+        for bead in at.beads:
+            if bead.name == "ring":
+                far = np.linalg.norm(bead.points - np.round(near * 1e3, 3) * MM, axis=1)
+                assert far[0] <= far.min() + 1e-4
+
+
+def sorted_by_name(toolpath: Toolpath) -> list[Bead]:
+    return sorted(toolpath.beads, key=lambda bead: (bead.layer, bead.name))
+
+
+def test_a_seam_never_stands_at_a_corner() -> None:
+    frame = next(bead for bead in drawn("  seam: {towards: [0, 0, 1]}\n").beads if bead.name == "frame")
+    tangents = np.diff(frame.points[[0, 1, -2, -1]], axis=0)[[0, 2]]
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    assert tangents[0] @ tangents[1] > np.cos(np.radians(5.0))
+
+
+def test_beads_come_in_the_order_of_their_names() -> None:
+    toolpath = drawn("  order: [ring, l*]\n")
+    names = [bead.name for bead in toolpath.beads]
+    assert names == ["ring", "line", "frame"] * 3
+    assert [bead.name for bead in drawn("").beads] != names
+
+
+def test_walls_or_infill_of_a_mesh_come_first_as_asked() -> None:
+    for order in ("['*wall*']", "['*infill*', '*wall*']"):
+        toolpath = build_toolpath(load_problem("saddle_ring", [f"process.order={order}"]))
+        for layer in range(toolpath.layers):
+            kinds = ["infill" if "infill" in bead.name else "wall" for bead in toolpath.beads if bead.layer == layer]
+            assert kinds == sorted(kinds, reverse="wall" in order[:8])
+
+
+@pytest.mark.parametrize("override", ["process.seam={towards: [0, 0, 1]}", "process.order=['*infill*']"])
+@pytest.mark.parametrize("problem", ["planar_gcode", "peer_cap", "shoehorn"])
+def test_what_a_source_says_already_cannot_be_asked_for(problem: str, override: str) -> None:
+    with pytest.raises(InputError, match="in this source already"):
+        build_toolpath(load_problem(problem, [override]))
+
+
+@pytest.mark.parametrize(
+    ("process", "reason"),
+    [
+        ("  seam: {}\n", "give one of near_mm and towards"),
+        ("  seam: {near_mm: [0, 0, 0], towards: [0, 0, 1]}\n", "give one of near_mm and towards"),
+        ("  seam: {towards: [0, 0, 0]}\n", "must not be the zero vector"),
+        ("  order: [ring, ring]\n", "stands in the list twice"),
+    ],
+)
+def test_seams_and_orders_that_cannot_be(process: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        problem_of(SPEED + process)
+
+
+def test_an_order_of_no_bead_is_refused() -> None:
+    with pytest.raises(InputError, match="no bead is called 'rign'") as caught:
+        drawn("  order: [rign]\n")
+    assert caught.value.hint == "did you mean ring?"
+
+
+def test_the_verifier_sees_beads_out_of_order() -> None:
+    plan = by_layer()
+    names = [bead.name for bead in plan.beads]
+    for order, wrong in ((("zigzag", "wave", "ring"), False), (("ring",), True)):
+        process = plan.problem.process.model_copy(update={"order": order})
+        told = failed(replace(plan, problem=plan.problem.model_copy(update={"process": process})))
+        expected = [tuple(names[3 * k : 3 * k + 3]) for k in range(3)] != [order] * 3 if not wrong else True
+        assert ("order of beads" in told) == expected

@@ -20,7 +20,7 @@ from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.ordering import reverse, shorten_travel, travel_length
-from planner.toolpath.plane_paths import PlaneCurve, arc_length, round_corners, seam_on_smooth_part
+from planner.toolpath.plane_paths import PlaneCurve, arc_length, round_corners, with_seam
 from planner.toolpath.runs import RISE_PER_LENGTH, BeadRun, with_runs
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import NozzleTask, make_tasks
@@ -281,7 +281,7 @@ def test_seam_is_as_far_from_corners_as_it_can_be(radii: list[float], shift: int
     angle = 2 * np.pi * np.arange(len(radii)) / len(radii)
     loop = np.roll(np.array(radii)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]), shift, axis=0)
     path = PlanePath("loop", np.vstack([loop, loop[:1]]), True)
-    moved = seam_on_smooth_part(path).points
+    moved = with_seam(path).points
     np.testing.assert_array_equal(moved[0], moved[-1])
     corners, length = corner_gaps(path.points)
     after, same_length = corner_gaps(moved)
@@ -297,12 +297,12 @@ def test_seam_of_a_loop_without_corners_stays() -> None:
     angle = np.linspace(0, 2 * np.pi, 101)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     circle[-1] = circle[0]
-    np.testing.assert_array_equal(seam_on_smooth_part(PlanePath("circle", circle, True)).points, circle)
+    np.testing.assert_array_equal(with_seam(PlanePath("circle", circle, True)).points, circle)
 
 
 def test_seam_on_a_vertex_repeats_no_point() -> None:
     square = np.array([[0, 0], [8, 0], [16, 0], [16, 16], [0, 16], [0, 0]]) * MM
-    moved = seam_on_smooth_part(PlanePath("square", square, True)).points
+    moved = with_seam(PlanePath("square", square, True)).points
     assert np.hypot(*np.diff(moved, axis=0).T).min() > 1e-9
 
 

@@ -370,6 +370,12 @@ CHECKS: dict[str, Measure] = {
         "time without motion; the limit is two samples",
         "process.pauses are given",
     ),
+    "order of beads": Measure(
+        "too late",
+        "in each layer beads come in the order of the names that process.order lists",
+        "beads behind others that should come later",
+        "process.order is given",
+    ),
     "axis near the file's normals": Measure(
         "deg",
         "smoothing turns the nozzle from the normals of a file of waypoints by no more than it may",

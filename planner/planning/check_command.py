@@ -105,7 +105,7 @@ def _bytes(path: Path) -> int:
 
 def one_layer(problem: Problem) -> Problem:
     """The problem with its first layer alone, and nothing that is of others."""
-    process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": ()})
+    process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": (), "order": ()})
     layers = problem.layers.model_copy(update={"count": 1})
     return problem.model_copy(update={"layers": layers, "process": process})
 

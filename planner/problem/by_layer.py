@@ -1,4 +1,4 @@
-"""What differs from layer to layer, or from bead to bead: speeds, least times, and pauses."""
+"""What is asked of layers and beads apart from others: speeds, least times, pauses, and how a layer is laid."""
 
 from __future__ import annotations
 
@@ -7,7 +7,18 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import TEXT, Quantity, Section, key, refusal
+from planner.problem.fields import (
+    TEXT,
+    UNIQUE,
+    UNIT_VECTOR,
+    Position,
+    Quantity,
+    Section,
+    Vector,
+    exactly_one,
+    key,
+    refusal,
+)
 from planner.problem.yaml_file import describe
 
 Speed = Annotated[float, Quantity("mm/s", 0.1, 2000)]  # below, a print takes days; above, no arm is exact
@@ -16,6 +27,12 @@ LayerNumber = Annotated[int, Quantity("", 1, 100_000, whole=True)]
 LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that what happens before and after never falls into the same one
 _SLOWEST = 0.5  # of the process's speed, where nothing else is given: below, thin beads drag and pull off
 _MOST = 1000
+
+
+def fits(pattern: str, name: str) -> bool:
+    """Whether a pattern of names fits one: * stands for any letters, ? for one."""
+    escaped = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
+    return re.fullmatch(escaped, name, re.DOTALL) is not None
 
 
 def _few(value: Any) -> Any:
@@ -44,8 +61,7 @@ class SpeedSpec(Section):
     def covers(self, name: str, layer: int) -> bool:
         """Whether it is for a bead of that name in that layer, counted from 0."""
         last = layer + 1 if self.to_layer is None else self.to_layer
-        pattern = re.escape(self.beads).replace(r"\*", ".*").replace(r"\?", ".")
-        return self.from_layer <= layer + 1 <= last and re.fullmatch(pattern, name, re.DOTALL) is not None
+        return self.from_layer <= layer + 1 <= last and fits(self.beads, name)
 
 
 class LayerTimeSpec(Section):
@@ -93,5 +109,25 @@ class PauseSpec(Section):
         return self.wait + self.purge / self.purge_speed
 
 
+class SeamSpec(Section):
+    """Where closed beads begin and end: one of these."""
+
+    model_config = exactly_one("near_mm", "towards")
+
+    near: Position | None = key("near_mm", "place in the part frame that they begin nearest to [mm]", None)
+    towards: Annotated[Vector, Quantity("", -1e6, 1e6, count=3), UNIT_VECTOR] | None = key(
+        "towards", "direction in the part frame, as far in which as they go they begin", None
+    )
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> SeamSpec:
+        if (self.near is None) == (self.towards is None):
+            raise refusal(
+                "give one of near_mm and towards", "towards: [0, 1, 0] is at the back", fields=["near_mm", "towards"]
+            )
+        return self
+
+
 Speeds = Annotated[tuple[SpeedSpec, ...], BeforeValidator(_few)]
 Pauses = Annotated[tuple[PauseSpec, ...], BeforeValidator(_few)]
+Order = Annotated[tuple[Annotated[str, TEXT], ...], BeforeValidator(_few), UNIQUE]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
-from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Pauses, Speed, Speeds
+from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Order, Pauses, SeamSpec, Speed, Speeds
 from planner.problem.fields import (
     IDENTIFIER,
     LONGEST_NAME,
@@ -441,6 +441,13 @@ class ProcessSpec(AroundBeadSpec):
     )
     layer_time: LayerTimeSpec | None = key("layer_time", "how long a layer takes at least; default: no matter", None)
     pauses: Pauses = key("pauses", "rests at home before some layers; default: none", ())
+    order: Order = key(
+        "order",
+        "names of beads, * for any letters, in whose order they are laid in each layer, those that fit none last; default: "
+        "whatever travels least",
+        (),
+    )
+    seam: SeamSpec | None = key("seam", "where closed beads begin; default: as far from corners as can be", None)
     bead: BeadSpec = key("bead", "cross-section of a bead")
     corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = key(
         "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2

@@ -13,8 +13,10 @@ from planner.problem.drawings import (
     ProjectedCurvesSpec,
     ProjectedDrawingSpec,
     ProjectedDxfSpec,
+    ProjectedLayersSpec,
     ProjectedPatternSpec,
     WrappedDxfSpec,
+    WrappedLayersSpec,
 )
 from planner.problem.layers import (
     AerofoilLayersSpec,
@@ -46,6 +48,10 @@ SOURCES: dict[type, tuple[str, str]] = {
 }
 
 
+SEAMS = (WrappedLayersSpec, ProjectedLayersSpec, VolumeLayersSpec)  # sources whose closed beads may begin anywhere
+ORDERS = (*SEAMS, CoreLayersSpec)  # those whose beads may be laid in any order
+
+
 def build_toolpath(problem: Problem) -> Toolpath:
     """Read the source, round its corners and lay its beads in print order.
 
@@ -53,6 +59,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     Raises InputError for a file that cannot be read, for a drawing that does not fit on the part, for layers and beads that
     the process names and that there are not, and for what is too much to plan.
     """
+    _check_arrangement(problem)
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
@@ -65,3 +72,11 @@ def build_toolpath(problem: Problem) -> Toolpath:
     own = problem.layers.material or next(iter(materials))
     beads = tuple(bead if bead.material else replace(bead, material=own) for bead in toolpath.beads)
     return replace(toolpath, beads=beads)
+
+
+def _check_arrangement(problem: Problem) -> None:
+    """Raise the InputError of a seam or an order of beads that their source has already."""
+    for key, given, sources in (("seam", problem.process.seam, SEAMS), ("order", problem.process.order, ORDERS)):
+        if given and not isinstance(problem.layers, sources):
+            reason = "where closed beads begin stands" if key == "seam" else "the order of beads stands"
+            raise problem.error(f"process.{key}", f"{reason} in this source already", "leave it out")

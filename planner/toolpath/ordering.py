@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import njit
+from planner.problem.by_layer import fits
 from planner.toolpath.plane_paths import PlaneCurve
 
 
@@ -19,7 +20,7 @@ def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> 
     A closed curve starts and ends where it did; an open one may be run backwards. Of both directions of the whole
     order the one that begins nearer to `start` (2), if that is given.
     """
-    order = _in_order(curves)
+    order = _travelled(curves)
     if not order or start is None:
         return order
     if np.hypot(*(order[-1].points[-1] - start)) < np.hypot(*(order[0].points[0] - start)):
@@ -27,7 +28,36 @@ def shorten_travel(curves: Sequence[PlaneCurve], start: Array | None = None) -> 
     return order
 
 
-def _in_order(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
+def in_order(curves: Sequence[PlaneCurve], order: Sequence[str], start: Array | None = None) -> list[PlaneCurve]:
+    """Curves whose names fit the first pattern, then those of the next, and so on, those that fit none last; each time as
+    `shorten_travel` has them, from where the ones before end, or from `start` (2) on."""
+    groups: dict[int, list[PlaneCurve]] = {}
+    for curve in curves:
+        groups.setdefault(rank(curve.name, order), []).append(curve)
+    found: list[PlaneCurve] = []
+    for k in sorted(groups):
+        found += shorten_travel(groups[k], found[-1].points[-1] if found else start)
+    return found
+
+
+def rank(name: str, order: Sequence[str]) -> int:
+    """Number of the first pattern that fits a name, or how many there are."""
+    return next((k for k, pattern in enumerate(order) if fits(pattern, name)), len(order))
+
+
+def rows_of_layers(curves: Sequence[PlaneCurve], count: int, order: Sequence[str]) -> list[list[PlaneCurve]]:
+    """The same curves in each of `count` layers, in print order; each layer starts where the one before ended, or near to
+    it where an order is asked for."""
+    rows = [in_order(curves, order)]
+    while len(rows) < count:
+        if order:
+            rows.append(in_order(rows[-1], order, rows[-1][-1].points[-1]))
+        else:
+            rows.append([reverse(curve) for curve in reversed(rows[-1])])
+    return rows
+
+
+def _travelled(curves: Sequence[PlaneCurve]) -> list[PlaneCurve]:
     if len(curves) < 2:
         return list(curves)
     ends = np.array([[curve.points[0], curve.points[-1]] for curve in curves])

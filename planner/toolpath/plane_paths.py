@@ -25,6 +25,7 @@ from scipy.ndimage import gaussian_filter1d
 from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths, subdivided
 from planner.problem import Problem
+from planner.problem.by_layer import SeamSpec
 from planner.toolpath.bead import Bead
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ _SHRINK = 0.98  # of the tolerance: leaves room for what the curve does between 
 
 _SHRUNK = 0.5  # share of its length that a path must keep when its corners are rounded
 _KINK = np.radians(10.0)  # a turn above this at one vertex counts as a corner when a seam is looked for
+
+_ASIDE = 0.1  # of the way between two corners, that a seam keeps away from both
+_SEAMS = 360  # places between two corners, or around, at which it may be
 
 _CLOSED = 1e-6  # m between the ends of a closed bead
 _SOURCE_STEP = 1e-4  # m: an input polyline is laid this densely, 0.04 um from the true helix at 34 mm
@@ -288,17 +292,35 @@ def _apply(bands: Array, x: Array) -> Array:
     return y
 
 
-def seam_on_smooth_part(path: PlanePath) -> PlanePath:
-    """Start a closed path as far from its corners as it can, so that run-in and run-out are smooth."""
+def with_seam(
+    path: PlanePath, spec: SeamSpec | None = None, place: Callable[[Array], Array] | None = None
+) -> PlanePath:
+    """Start a closed path where a seam is asked for, or as far from its corners as it can, so that run-in and run-out are
+    smooth; an open one stays as it is.
+
+    A seam that is asked for keeps away from corners, too, by a share of the way between them.
+    place: where plane points (k, 2) lie in the part frame (k, 3) [m]
+    """
+    if not path.closed:
+        return path
     loop = path.points[:-1]
     before, after = loop - np.roll(loop, 1, axis=0), np.roll(loop, -1, axis=0) - loop
     turn = np.arctan2(before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0], (before * after).sum(axis=1))
     arc = arc_lengths(path.points)
     corners = arc[:-1][np.abs(turn) > _KINK]
-    if len(corners) == 0:
+    if len(corners) == 0 and spec is None:
         return path
-    gaps = np.diff(np.concatenate([corners, [corners[0] + arc[-1]]]))
-    start = float(np.mod(corners[np.argmax(gaps)] + 0.5 * gaps.max(), arc[-1]))
+    gaps = np.diff(np.concatenate([corners, [corners[0] + arc[-1]]])) if len(corners) else arc[-1:]
+    if spec is None or place is None:
+        start = corners[np.argmax(gaps)] + 0.5 * gaps.max()
+    else:
+        share = (
+            np.linspace(_ASIDE, 1.0 - _ASIDE, _SEAMS) if len(corners) else np.linspace(0.0, 1.0, _SEAMS, endpoint=False)
+        )
+        tried = ((corners if len(corners) else arc[:1])[:, None] + share * gaps[:, None]).ravel() % arc[-1]
+        points = place(np.column_stack([np.interp(tried, arc, column) for column in path.points.T]))
+        start = tried[np.argmin(_away(points, spec))]
+    start = float(np.mod(start, arc[-1]))
     k = int(np.searchsorted(arc, start, side="right"))
     t = (start - arc[k - 1]) / (arc[k] - arc[k - 1])
     seam = path.points[k - 1] + t * (path.points[k] - path.points[k - 1])
@@ -308,6 +330,15 @@ def seam_on_smooth_part(path: PlanePath) -> PlanePath:
     points = around[keep]
     points[-1] = seam
     return replace(path, points=points)
+
+
+def _away(points: Array, spec: SeamSpec) -> Array:
+    """How far (k) points (k, 3) are from where a seam is to be; those that lie nowhere are farthest."""
+    if spec.near is not None:
+        away = np.linalg.norm(points - spec.near, axis=1)
+    else:
+        away = -points @ np.asarray(spec.towards)
+    return np.where(np.isnan(away), np.inf, away)
 
 
 def length(points: Array) -> float:

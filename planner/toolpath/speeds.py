@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.errors import nearest_name
+from planner.base.errors import InputError, nearest_name
 from planner.problem import Problem
+from planner.problem.by_layer import fits
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Toolpath
 
@@ -17,8 +18,8 @@ _MOST_NAMES = 6  # of beads in a hint
 
 
 def check_layers(problem: Problem, toolpath: Toolpath) -> None:
-    """Raise the InputError of a speed that is no bead's, and of a pause before a layer that there is not; but where fewer
-    layers are printed than the file says, both may be of those that are not."""
+    """Raise the InputError of names that are no bead's, and of a pause before a layer that there is not; but where fewer
+    layers are printed than the file says, they may be of those that are not."""
     if problem.sources.override(("layers", "count")) is not None:
         return
     process, count = problem.process, 1 + max(bead.layer for bead in toolpath.beads)
@@ -28,17 +29,26 @@ def check_layers(problem: Problem, toolpath: Toolpath) -> None:
         if spec.from_layer > count:
             reason = f"there is no layer {spec.from_layer}"
             raise problem.error(f"process.speeds.{k}.from_layer", reason, f"there are {count}, counted from 1")
-        names = list(dict.fromkeys(bead.name for bead in toolpath.beads))
-        near = nearest_name(spec.beads, names)
-        some = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
         where = "" if spec.from_layer == 1 and spec.to_layer is None else " in these layers"
-        reason = f"no bead{where} is called {spec.beads!r}"
-        raise problem.error(f"process.speeds.{k}.beads", reason, f"did you mean {near}?" if near else f"names: {some}")
+        raise _unknown(problem, toolpath, f"process.speeds.{k}.beads", spec.beads, where)
+    for k, pattern in enumerate(process.order):
+        if not any(fits(pattern, bead.name) for bead in toolpath.beads):
+            raise _unknown(problem, toolpath, f"process.order.{k}", pattern)
     for k, pause in enumerate(process.pauses):
         if pause.before_layer > count:
             reason = f"there is no layer {pause.before_layer}"
             hint = f"there are {count}, counted from 1" if count > 1 else "there is one layer"
             raise problem.error(f"process.pauses.{k}.before_layer", reason, hint)
+
+
+def _unknown(problem: Problem, toolpath: Toolpath, field: str, pattern: str, where: str = "") -> InputError:
+    """The error of a pattern that no bead's name fits."""
+    names = list(dict.fromkeys(bead.name for bead in toolpath.beads))
+    near = nearest_name(pattern, names)
+    some = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
+    return problem.error(
+        field, f"no bead{where} is called {pattern!r}", f"did you mean {near}?" if near else f"names: {some}"
+    )
 
 
 def with_speeds(problem: Problem, toolpath: Toolpath) -> Toolpath:

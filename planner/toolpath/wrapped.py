@@ -13,7 +13,7 @@ from planner.problem import Problem
 from planner.problem.drawings import DxfSpec, LayersSpec, WrappedDxfSpec
 from planner.toolpath.bead import Bead, Told, Toolpath, cylinder_shape
 from planner.toolpath.dxf.reader import read_dxf
-from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.ordering import rows_of_layers
 from planner.toolpath.plane_paths import (
     PlaneCurve,
     check_size,
@@ -21,7 +21,7 @@ from planner.toolpath.plane_paths import (
     length,
     make_bead,
     round_corners,
-    seam_on_smooth_part,
+    with_seam,
 )
 from planner.toolpath.substrate.clipping import Clipped
 from planner.toolpath.svg.outlines import PlanePath, read_svg
@@ -104,17 +104,18 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
         raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
     check_curves(problem, [path.points for path in clipped.paths], spec.count, "layers.source.width_mm")
     curves = []
+
+    def on_layer(points: Array) -> Array:
+        return cylinder.wrap(points / stretch, spec.height)[0]
+
     for path in clipped.paths:
-        curve = round_corners(seam_on_smooth_part(path) if path.closed else path, process.corner_tolerance)
+        curve = round_corners(with_seam(path, process.seam, on_layer), process.corner_tolerance)
         wider = "choose a smaller tolerance, or a greater layers.source.width_mm"
         check_size(problem, path.name, length(path.points), length(curve.points), wider)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
-    curves = shorten_travel(curves)
-
     beads: list[Bead] = []
-    for layer in range(spec.count):
-        beads += wrap_layer(curves, cylinder, layer, spec.height, process.bead.width, process.bead.height)
-        curves = [reverse(curve) for curve in reversed(curves)]  # the next layer starts where this one ended
+    for layer, row in enumerate(rows_of_layers(curves, spec.count, process.order)):
+        beads += wrap_layer(row, cylinder, layer, spec.height, process.bead.width, process.bead.height)
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
     specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
     return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks, told=Told(clipped.share))

@@ -6,12 +6,13 @@ Worked out anew here, from the samples (n) and the input alone.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from fnmatch import fnmatchcase
 
 import numpy as np
 
 from planner.plan import Check, Event, Trajectory
 from planner.problem.by_layer import PauseSpec
-from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least
+from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least, drawn_name
 from planner.verify.material import INSTANT, SAMPLES, rest
 
 AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
@@ -21,8 +22,10 @@ AMOUNT = 1e-9  # m of filament
 def by_layer(judged: Judged) -> Findings:
     """Checks of what is asked of layers; none where nothing is."""
     process = judged.problem.process
-    checks = () if process.layer_time is None else (_times(judged, process.layer_time.least),)
-    return Findings((*checks, _pauses(judged)) if process.pauses else checks)
+    checks = [] if process.layer_time is None else [_times(judged, process.layer_time.least)]
+    checks += [_pauses(judged)] if process.pauses else []
+    checks += [_order(judged)] if process.order else []
+    return Findings(tuple(checks))
 
 
 def _times(judged: Judged, least: float) -> Check:
@@ -64,6 +67,22 @@ def _pauses(judged: Judged) -> Check:
     limit = SAMPLES * t.dt
     ok = worst <= limit + INSTANT and len(found) == len(asked)
     return Check("pauses before layers", worst, limit, "s missing", ok, where)
+
+
+def _order(judged: Judged) -> Check:
+    """In each layer beads come in the order of the patterns that their names fit."""
+    patterns = [pattern.replace("[", "[[]") for pattern in judged.problem.process.order]
+    t, wrong, where = judged.trajectory, 0, EVERYWHERE
+    last: dict[int, int] = {}
+    starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
+    for i in t.bead[starts].tolist():
+        bead = judged.toolpath.beads[i]
+        name = drawn_name(bead)
+        own = next((k for k, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), len(patterns))
+        if own < last.get(bead.layer, own):
+            wrong, where = wrong + 1, where if wrong else f"bead {i}"
+        last[bead.layer] = max(own, last.get(bead.layer, own))
+    return Check("order of beads", float(wrong), 0.0, "too late", wrong == 0, where)
 
 
 def _missing(judged: Judged, event: Event, pause: PauseSpec) -> float:

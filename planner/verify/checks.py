@@ -17,7 +17,7 @@ from planner.collision.print_body import PrintBody
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.executed import ExecutedMotion
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
@@ -64,9 +64,14 @@ class Findings:
     series: Mapping[str, Array] = field(default_factory=dict)
 
 
+def drawn_name(bead: Bead) -> str:
+    """The name of what was drawn, of a piece of it too."""
+    return _PIECE.sub("", bead.name)
+
+
 def asked_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:
     """Speed (k) [m/s] that the process asks for each bead, by its layer, its name, and the time of its layer."""
-    names = [_PIECE.sub("", bead.name) for bead in toolpath.beads]
+    names = [drawn_name(bead) for bead in toolpath.beads]
     layers = np.array([bead.layer for bead in toolpath.beads])
     speeds = np.full(len(names), process.speed)
     for spec in process.speeds:

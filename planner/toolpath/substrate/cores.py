@@ -15,7 +15,7 @@ from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.layers import CoreLayersSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
-from planner.toolpath.ordering import shorten_travel
+from planner.toolpath.ordering import in_order
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.clipping import share_words, trim_curve, trim_path
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
@@ -214,7 +214,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
         left_out += short
         if not pieces:
             continue
-        rows.append(shorten_travel(pieces, rows[-1][-1].points[-1] if rows else None))
+        rows.append(in_order(pieces, process.order, rows[-1][-1].points[-1] if rows else None))
         laid.append(level)
         if len(rows) == spec.count:
             break

@@ -33,7 +33,7 @@ from planner.problem.part import MeshSpec, PartSpec, StepSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.dxf.reader import read_dxf
 from planner.toolpath.nurbs import nurbs_paths
-from planner.toolpath.ordering import reverse, shorten_travel
+from planner.toolpath.ordering import rows_of_layers
 from planner.toolpath.plane_paths import (
     PlaneCurve,
     arc_length,
@@ -41,7 +41,7 @@ from planner.toolpath.plane_paths import (
     densify,
     length,
     round_corners,
-    seam_on_smooth_part,
+    with_seam,
 )
 from planner.toolpath.step.files import read_faces
 from planner.toolpath.step.top import FaceTop, NotSmooth, UpperFaces
@@ -203,9 +203,7 @@ def project_curves(
         cut = "" if needed is None else f"; layers.source.leave_out_share: {share_words(needed)} cuts the curves there"
         raise _too_rough(error.rough, partial(problem.error, "part.mesh.file"), cut) from None
     bead, body = problem.process.bead, substrate.body
-    rows = [shorten_travel(curves)]
-    while len(rows) < spec.count:  # the next layer starts where this one ended
-        rows.append([reverse(curve) for curve in reversed(rows[-1])])
+    rows = rows_of_layers(curves, spec.count, problem.process.order)
     if spec.facing is not None and isinstance(body, MeshTop):
         substrate = substrate.facing(rows, spec.facing, body.facets)
     toolpath = _laid(substrate, rows, bead.width, bead.height)
@@ -240,7 +238,7 @@ def _plane_curves(
     curves: list[PlaneCurve] = []
     cuts = list(clipped.cuts)
     for path in clipped.paths:
-        start = seam_on_smooth_part(path) if path.closed else path
+        start = with_seam(path, process.seam, lambda points: substrate.project(points, 0)[0])
         share = _share(substrate, spec.count, densify(path.points))
         curve = round_corners(start, process.corner_tolerance, share)
         if length(path.points) < SHORTEST * width and length(curve.points) < width:

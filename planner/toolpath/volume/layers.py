@@ -20,9 +20,10 @@ from planner.problem import Problem
 from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.problem.mesh_files import read_facets, with_area
 from planner.problem.mesh_repair import Mended, count_of, facing_alike, mend
+from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
-from planner.toolpath.ordering import shorten_travel
-from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, seam_on_smooth_part
+from planner.toolpath.ordering import in_order
+from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners, with_seam
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
 from planner.toolpath.substrate.mesh_top import MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.svg.outlines import PlanePath
@@ -400,27 +401,30 @@ def _layer_rows(
         angle = spec.infill.angle + (0.5 * np.pi if layer % 2 else 0.0)
         outlines = walls(region, width, spec.perimeters, process.chord_tolerance, name)
         lines = zigzag(region, width, spec.perimeters, spec.infill.density, angle, name)
-        groups = [(outlines, ""), (lines, lines_of)]
-        if apart and layer % 2:  # so that the material changes once a layer
+        own = {path.name: lines_of for path in lines}
+        groups = [outlines, lines]
+        if process.order:
+            groups = [[*outlines, *lines]]
+        elif apart and layer % 2:  # so that the material changes once a layer
             groups.reverse()
         row: list[_Line] = []
         short.append([])
-        for paths, material in groups:
+        for paths in groups:
             short[-1] += [path for path in paths if length(path.points) < shortest]
             long = [path for path in paths if length(path.points) >= shortest]
-            curves = [_rounded(path, surface, process.corner_tolerance) for path in long]
+            curves = [_rounded(path, surface, process) for path in long]
             start = before[-1].curve.points[-1] if before else None
-            row += [_Line(curve, material) for curve in shorten_travel(curves, start)]
+            row += [_Line(curve, own.get(curve.name, "")) for curve in in_order(curves, process.order, start)]
             before = row or before
         rows.append(row)
     return rows, short
 
 
-def _rounded(path: PlanePath, surface: HeightField, tolerance: float) -> PlaneCurve:
+def _rounded(path: PlanePath, surface: HeightField, process: ProcessSpec) -> PlaneCurve:
     """The path with its corners rounded within the tolerance on the layer's surface."""
     stretch = _RESERVE / float(surface.at(densify(path.points))[1][:, 2].min())
-    start = seam_on_smooth_part(path) if path.closed else path
-    return round_corners(start, tolerance, lambda points: np.full(len(points), 1.0 / stretch))
+    start = with_seam(path, process.seam, lambda points: surface.at(points)[0])
+    return round_corners(start, process.corner_tolerance, lambda points: np.full(len(points), 1.0 / stretch))
 
 
 def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: float) -> list[Bead]:
