@@ -114,9 +114,11 @@ class SeamSpec(Section):
 
     model_config = exactly_one("near_mm", "towards")
 
-    near: Position | None = key("near_mm", "place in the part frame that they begin nearest to [mm]", None)
+    near: Position | None = key(
+        "near_mm", "place in the part frame that they begin nearest to [mm]; default: none", None
+    )
     towards: Annotated[Vector, Quantity("", -1e6, 1e6, count=3), UNIT_VECTOR] | None = key(
-        "towards", "direction in the part frame, as far in which as they go they begin", None
+        "towards", "direction in the part frame, as far in which as they go they begin; default: none", None
     )
 
     @model_validator(mode="after")
