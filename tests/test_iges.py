@@ -20,11 +20,12 @@ from scipy.spatial import cKDTree
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import load_problem
+from planner.problem.cad_files import is_iges
 from planner.problem.part import StepSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.step.cover import smooth_regions
-from planner.toolpath.step.files import Face, FacesRead, is_iges, read_faces
+from planner.toolpath.step.files import Face, FacesRead, read_faces
 from planner.toolpath.step.shapes import subshapes
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"

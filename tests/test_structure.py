@@ -33,7 +33,7 @@ HEAVY = {
     "shapely": {"plan.stored", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
-    "OCP": {"toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},
+    "OCP": {"problem.cad_facets", "toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},
     "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},

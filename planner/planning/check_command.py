@@ -181,7 +181,7 @@ def _read(problem: Problem, field: str, path: Path) -> None:
 
         read_section(path, where)
     elif in_step:
-        from planner.toolpath.step.files import check_step
+        from planner.problem.cad_files import check_step
 
         check_step(path, where)
     elif field.endswith((".mesh", ".file")):

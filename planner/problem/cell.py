@@ -51,7 +51,9 @@ class BodySpec(Section):
 
     box: Side | None = key("box_mm", "sides of a box along x, y and z [mm]; default: none", None)
     cylinder: CylinderSolidSpec | None = key("cylinder", "a cylinder along z; default: none", None)
-    mesh: Annotated[Path, PATH] | None = key("mesh", "an STL file, in mm; default: none", None)
+    mesh: Annotated[Path, PATH] | None = key(
+        "mesh", "a file of its facets or from CAD (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), in mm; default: none", None
+    )
     centre: Position = key("centre_mm", "centre of box or cylinder, or the file's origin [mm]", (0, 0, 0))
     rpy: Angles = key("rpy_deg", "turned about x, then y, then z of what carries it [deg]", (0, 0, 0))
 

@@ -365,7 +365,7 @@ class SolidSpec(SourceSection):
     """The body that is printed."""
 
     mesh: Annotated[Path, PATH] = key(
-        "mesh", "a closed file of facets (STL, PLY, OBJ, OFF or 3MF), counted from the folder of the problem file"
+        "mesh", "a closed body (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), counted from the folder of the problem file"
     )
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()

@@ -1,4 +1,4 @@
-"""Facets of a body from a file: STL, PLY, OBJ, OFF or 3MF; what cannot be printed on is refused."""
+"""Facets of a body from a file: STL, PLY, OBJ, OFF, 3MF, STEP or IGES; what cannot be printed on is refused."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from planner.base.budgets import MESH_BYTES, MESH_FACETS
 from planner.base.errors import Complaint
 from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
+from planner.problem.cad_files import IGES_ENDINGS, STEP_ENDINGS, facets_of_bodies, is_cad
 from planner.problem.part import UNITS, MeshSpec
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 MOST_FACETS, LARGEST_FILE = MESH_FACETS.most, MESH_BYTES.most
 FARTHEST = 100_000.0  # mm from the origin: a hall
-SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf")
+SUFFIXES = (".stl", ".ply", ".obj", ".off", ".3mf", *STEP_ENDINGS, *IGES_ENDINGS)
 SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of what is printed or printed on: else its unit is another one
 _LIKELY = (20.0, 2000.0)  # mm across: units that make it so are named
 _HEADER = 84  # bytes of a binary STL file before its facets, of _FACET bytes each
@@ -126,6 +127,8 @@ _FEWER = f"make a mesh of fewer facets, at most {MOST_FACETS}"
 
 def _kind(path: Path, data: bytes) -> str:
     """What a file is, by its first bytes, and where these say nothing by its name; else STL."""
+    if is_cad(path, data):
+        return "cad"
     first = data[:6].lstrip()
     if first[:3] == b"ply" and first[3:4] in (b"\n", b"\r"):
         return "ply"
@@ -265,7 +268,14 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
     return mesh
 
 
-_READERS = {"stl": _stl, "ply": _ply, "obj": _obj, "off": _off, "3mf": _3mf}
+def _cad(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    import trimesh
+
+    corners, facets = facets_of_bodies(path, MOST_FACETS, where)
+    return trimesh.Trimesh(vertices=corners, faces=facets, process=False)
+
+
+_READERS = {"cad": _cad, "stl": _stl, "ply": _ply, "obj": _obj, "off": _off, "3mf": _3mf}
 
 
 def _check_count(path: Path, count: int, where: Complaint) -> None:

@@ -101,7 +101,7 @@ class MeshSpec(Section):
     """A body from a file of facets; what is seen of it from above is printed on."""
 
     file: Annotated[Path, PATH] = key(
-        "file", "the file (STL, PLY, OBJ, OFF or 3MF), counted from the folder of the problem file"
+        "file", "the file (STL, PLY, OBJ, OFF, 3MF, STEP or IGES), counted from the folder of the problem file"
     )
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()

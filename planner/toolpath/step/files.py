@@ -5,37 +5,25 @@ Another process reads the file, because a damaged one may end its reader.
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.base.budgets import STEP_BYTES
 from planner.base.errors import Complaint
-from planner.base.files import read_bytes
-from planner.base.isolated import ask
+from planner.problem.cad_files import asked, check_step
 from planner.problem.part import StepSpec
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 
 Wanted = Sequence[int | str] | str
 _SHOWN = 12  # names of faces in a message
 
-LARGEST_FILE = STEP_BYTES.most
 FARTHEST = 100.0  # m from the origin: a hall
 _WIDEST = 1e9  # of a surface's domain: files count in millimetres, radians, or from 0 to 1
-LONGEST = 300  # s that a file may take
 _READER = "planner.toolpath.step.reader"
-_BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
-_ENDS = 2048  # bytes of a file in which they stand
-_MARK = 72  # column of an IGES file's lines, from 0, that names their section: S at first, T in the last one
-_COMPRESSED, _BINARY = b"C", b"B"  # there, for the forms of IGES that hardly a program writes
-IGES_ENDINGS = (".igs", ".iges")
-_KINDS = "STEP (.step, .stp) or IGES (.igs, .iges)"
 
 
 @dataclass(frozen=True)
@@ -122,7 +110,7 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
     request = {
         "file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3,
     }  # fmt: skip
-    answer = _answer(request, name, where)
+    answer = asked(_READER, request, name, where)
     if "reason" in answer:
         raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
@@ -141,48 +129,6 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
 def _ascend(knots: Array, degree: int) -> bool:
     """Whether knots are those of a spline of a degree: none before the one in front of it, over a domain that has a length."""
     return bool((np.diff(knots) >= 0.0).all() and 0.0 < knots[-degree - 1] - knots[degree] <= _WIDEST)
-
-
-def check_step(path: Path, where: Complaint) -> None:
-    """Raise the InputError, made by `where`, of a file that is missing, neither STEP nor IGES, or cut off."""
-    data = read_bytes(path, LARGEST_FILE, where)
-    name = path.name
-    if is_iges(data):
-        last = data.rstrip().rsplit(b"\n", 1)[-1]
-        if last[_MARK : _MARK + 1] != b"T":
-            raise where(f"{name} is damaged: its end is missing, the line with T in column 73", hint="export it anew")
-        return
-    if path.suffix.lower() in IGES_ENDINGS and _BEGIN not in data[:_ENDS]:
-        if data[_MARK : _MARK + 1] in (_COMPRESSED, _BINARY):
-            raise where(
-                f"{name} is IGES in its binary or compressed form", hint="export it as plain (fixed ASCII) IGES"
-            )
-        raise where(f"{name} is no IGES file: its first line has no S in column 73", hint=f"export it as {_KINDS}")
-    if _BEGIN not in data[:_ENDS]:
-        raise where(f"{name} is no STEP file: it does not begin with {_BEGIN.decode()}", hint=f"export it as {_KINDS}")
-    if _END not in data[-_ENDS:]:
-        raise where(f"{name} is damaged: its end is missing", hint="export it anew")
-
-
-def is_iges(data: bytes) -> bool:
-    """Whether a file is IGES in fixed ASCII form, whatever it is called: its first line has S in column 73, and a number."""
-    line = data[:_ENDS].partition(b"\n")[0].rstrip()
-    return line[_MARK : _MARK + 1] == b"S" and line[_MARK + 1 :].strip().isdigit()
-
-
-def _answer(request: dict[str, Any], name: str, where: Complaint) -> dict[str, Any]:
-    damaged = where(
-        f"{name} is damaged: Open CASCADE cannot read it", hint="repair it in a CAD program, and export it anew"
-    )
-    try:
-        answer = ask(_READER, request, LONGEST)
-    except subprocess.TimeoutExpired:
-        raise where(
-            f"{name} takes more than {LONGEST} s to be read", hint="export the part without its details"
-        ) from None
-    if answer is None:
-        raise damaged
-    return answer
 
 
 def _face(answer: dict[str, Any], k: int, turn: Any, spec: StepSpec) -> Face:

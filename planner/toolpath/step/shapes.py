@@ -17,7 +17,8 @@ from OCP.TopExp import TopExp
 from OCP.TopoDS import TopoDS
 
 from planner.base.budgets import STEP_FACES
-from planner.toolpath.step.files import Damaged, is_iges
+from planner.problem.cad_files import is_iges
+from planner.toolpath.step.files import Damaged
 
 MOST_FACES = STEP_FACES.most
 REPAIR = "repair it in a CAD program, and export it anew"
