@@ -156,7 +156,15 @@ def make_beads(count: int = 6, waypoints: int = 200) -> tuple[SimpleNamespace, .
     for k in range(count):
         points = np.column_stack([CENTRE + RADIUS * normals[:, :2], np.full(waypoints, 0.02 + 0.002 * k)])
         beads.append(
-            SimpleNamespace(name=f"ring {k}", layer=0, round=False, points=points, normals=normals, s=a * RADIUS)
+            SimpleNamespace(
+                name=f"ring {k}",
+                layer=0,
+                round=False,
+                points=points,
+                normals=normals,
+                s=a * RADIUS,
+                commanded=lambda usual: usual,
+            )
         )
     return tuple(beads)
 

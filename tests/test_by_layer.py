@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from hypothesis import given
@@ -27,6 +28,10 @@ from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.by_layer import LayerTimeSpec, SpeedSpec
 from planner.problem.process import ProcessSpec
+from planner.report import plots
+from planner.report.channels import channels
+from planner.report.charts import time_charts
+from planner.report.places import dips_section, places_of
 from planner.report.summary import print_summary
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
@@ -463,3 +468,27 @@ def test_the_verifier_sees_beads_out_of_order() -> None:
         told = failed(replace(plan, problem=plan.problem.model_copy(update={"process": process})))
         expected = [tuple(names[3 * k : 3 * k + 3]) for k in range(3)] != [order] * 3 if not wrong else True
         assert ("order of beads" in told) == expected
+
+
+# --- the report --------------------------------------------------------------------------------------------
+
+
+def test_the_report_holds_each_bead_to_its_own_speed(tmp_path: Path) -> None:
+    plan = by_layer()
+    kept = np.flatnonzero(plan.trajectory.deposit)
+    (speed,) = [each for each in channels(plan, kept) if each["key"] == "speed"]
+    assert speed["unit"] == "%"
+    assert 90.0 < speed["max"] < 103.0
+    assert "commanded" in json.dumps(time_charts(plan)[0], default=str)
+    slowest = next(place for place in places_of(plan) if place.what == "Slowest")
+    assert any(slowest.value.endswith(f" of {commanded * 1e3:g} mm/s") for commanded in plan.commanded)
+    for dip in plan.dips:
+        assert f" of {plan.commanded[dip.bead] * 1e3:g}</td>" in dips_section(plan)
+
+
+def test_plots_draw_the_speeds_that_are_commanded() -> None:
+    plan = by_layer()
+    axes = plots.speed(plan)
+    lines = {line.get_label(): np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()}
+    plt.close(axes.figure)
+    assert {15.0, 40.0, 30.0} <= set(np.round(lines["commanded"][np.isfinite(lines["commanded"])], 6))

@@ -42,11 +42,7 @@ def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
     if not len(kept):
         return []
     traj = plan.trajectory
-    commanded = plan.problem.process.speed * 1e3
-    speed = traj.speed[kept] * 1e3
-    low, high = min(float(speed.min()), 0.9 * commanded), max(float(speed.max()), commanded)
-    inner = [share * commanded for share in SPEEDS]
-    out = [_channel("speed", "Tip speed", "mm/s", speed, "low", low, high, inner=inner)]
+    out = [_speed(plan, kept)]
     for name, label, unit, digits in TIGHT:
         values = plan.series[name][kept] if name in plan.series else np.empty(0)
         if np.isfinite(values).any():
@@ -71,6 +67,17 @@ def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
         out.append(_channel("layer", "Layer", "", traj.layer[kept] + 1.0, "none", digits=0, inner=ends))
     shown = next((k for k, each in enumerate(out) if _most_alike(each) < MOST_ALIKE), 0)
     return [{**each, "first": k == shown} for k, each in enumerate(out)]
+
+
+def _speed(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any]:
+    """The tip's speed; where beads are to be laid at several, its share of each one's."""
+    commanded = plan.commanded[plan.trajectory.bead[kept]] * 1e3
+    speed = plan.trajectory.speed[kept] * 1e3
+    label, unit, whole = "Tip speed", "mm/s", float(commanded[0])
+    if np.ptp(commanded) > 0.0:
+        label, unit, whole, speed = "Tip speed, of the bead's own", "%", 100.0, 100.0 * speed / commanded
+    low, high = min(float(speed.min()), 0.9 * whole), max(float(speed.max()), whole)
+    return _channel("speed", label, unit, speed, "low", low, high, inner=[share * whole for share in SPEEDS])
 
 
 def edges_of(values: Array, inner: Sequence[float] | None, bad: str, digits: int) -> Array:

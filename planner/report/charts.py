@@ -119,17 +119,22 @@ def joint_charts(plan: Plan) -> list[dict[str, Any]]:
 
 def _speed(plan: Plan) -> dict[str, Any]:
     traj = plan.trajectory
-    commanded = plan.problem.process.speed * 1e3
-    speed = traj.speed * 1e3
+    commanded, speed = plan.commanded * 1e3, traj.speed * 1e3
     travel = _stretches(traj.t, speed, ~traj.deposit, None, "travel", GREY, 1)
     printing = _stretches(traj.t, speed, traj.deposit, traj.bead, "depositing", BLUE, 1.6)
-    top = max(commanded, float(speed[traj.deposit].max(initial=0.0))) * 1.2
+    curves, lines = [travel, printing], []
+    if np.ptp(commanded) > 0.0:
+        own = _stretches(traj.t, commanded[traj.bead], traj.deposit, traj.bead, "commanded", GREY, 1)
+        curves.append(own)
+    else:
+        lines.append((float(commanded[0]), f"commanded {commanded[0]:g} mm/s"))
+    top = max(float(commanded.max()), float(speed[traj.deposit].max(initial=0.0))) * 1.2
     chart = _chart(
         "speed",
         "Tip speed relative to the part",
         "mm/s",
-        [travel, printing],
-        lines=[(commanded, f"commanded {commanded:g} mm/s")],
+        curves,
+        lines=lines,
         note="Dips are where a joint cannot follow. Travel is faster than this window: double-click shows it all.",
     )
     chart["layout"]["yaxis"]["range"] = [0.0, top]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -69,7 +68,7 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
         "cost": np.sqrt(np.array([dip.lost for dip in shown]) / max(max(dip.lost for dip in shown), 1e-9)).astype(
             np.float32
         ),
-        "words": [_lines(dip, plan.problem.process.speed) for dip in shown],
+        "words": [_lines(dip, float(plan.commanded[dip.bead])) for dip in shown],
     }
 
 
@@ -89,9 +88,9 @@ def dips_section(plan: Plan) -> Markup:
         all_marked=len(plan.dips) <= MOST_MARKS,
         most_marks=MOST_MARKS,
         flows=any(dip.over_extruded for dip in dips),
-        commanded=plan.problem.process.speed * 1e3,
+        commanded=plan.commanded * 1e3,
         place=place_words,
-        followable=partial(followable, commanded=plan.problem.process.speed),
+        followable=lambda dip: followable(dip, float(plan.commanded[dip.bead])),
     )
 
 
@@ -166,11 +165,12 @@ def worst_places(plan: Plan) -> list[ReportPlace]:
     if not len(printing):
         return []
     found: list[tuple[str, str, int, str]] = []
-    commanded = plan.problem.process.speed * 1e3
-    speed = traj.speed * 1e3
-    i = int(printing[speed[printing].argmin()])
-    if speed[i] < AT_SPEED * commanded:
-        found.append(("Slowest", f"{speed[i]:.2f} mm/s of {commanded:g} mm/s", i, _of_dip(plan, i)))
+    commanded = plan.commanded[traj.bead[printing]] * 1e3
+    speed = traj.speed[printing] * 1e3
+    k = int((speed / commanded).argmin())
+    if speed[k] < AT_SPEED * commanded[k]:
+        i = int(printing[k])
+        found.append(("Slowest", f"{speed[k]:.2f} mm/s of {commanded[k]:g} mm/s", i, _of_dip(plan, i)))
     for name, what, words, advice, among in (
         ("sigma", "Nearest to a singularity", "σ {:.4f}", SINGULAR, printing),
         ("wrist_deg", "Wrist nearest to straight", "{:.1f}°", SINGULAR, printing),
@@ -267,7 +267,7 @@ def _of_dip(plan: Plan, sample: int) -> str:
     dip = next((dip for dip in plan.dips if abs(dip.t - t) < SAME_DIP), None)
     if dip is None:
         return BUSY
-    remedies = "; or ".join(remedy.words for remedy in followable(dip, plan.problem.process.speed))
+    remedies = "; or ".join(remedy.words for remedy in followable(dip, float(plan.commanded[dip.bead])))
     return f"Because of: {dip.cause}." + (f" Would avoid it: {remedies}." if remedies else "")
 
 

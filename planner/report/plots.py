@@ -72,7 +72,11 @@ def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
     y = np.where(laid, plan.speed * 1e3, np.nan)
     rows = np.flatnonzero(laid)
     window = slice(rows[0], rows[-1] + 1)
-    ax.axhline(plan.problem.process.speed * 1e3, color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
+    commanded = np.where(laid, plan.commanded[plan.bead] * 1e3, np.nan)
+    if np.ptp(commanded[laid]) > 0.0:
+        ax.plot(x[window], commanded[window], color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
+    else:
+        ax.axhline(commanded[rows[0]], color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
     ax.plot(x[window], y[window], color=COLOURS[0], linewidth=1.2, label="reached")
     dips = sorted((dip for dip in plan.dips if bead is None or dip.bead == bead), key=lambda dip: -dip.lost)
     at = np.array([(dip.t if bead is None else dip.at_s * 1e3, dip.speed * 1e3) for dip in dips]).reshape(-1, 2)
@@ -111,7 +115,7 @@ def path_derivatives(plan: Plan, bead: int, order: int, ax: Axes | None = None) 
         raise InputError(f"there is no derivative of order {order!r}", hint="1 velocity, 2 acceleration, 3 jerk")
     found, limits = _along_bead(plan, bead), _limits(plan)
     ax = tidy(axes_of(ax, figsize=(9.0, 2.8)))
-    shares = np.abs(found.rates[:, :, order - 1]) * plan.problem.process.speed**order / limits[:, order - 1]
+    shares = np.abs(found.rates[:, :, order - 1]) * plan.commanded[bead] ** order / limits[:, order - 1]
     for j, name in enumerate(plan.joint_names):
         style = STYLES[j // len(COLOURS) % len(STYLES)]
         ax.plot(found.s * 1e3, shares[:, j], style, color=COLOURS[j % len(COLOURS)], linewidth=1.2, label=name)
@@ -134,7 +138,7 @@ def speed_ceilings(plan: Plan, bead: int, ax: Axes | None = None) -> Axes:
     ax = tidy(axes_of(ax, figsize=(9.0, 3.2)))
     with np.errstate(divide="ignore"):
         each = (limits / np.abs(found.rates)) ** (1.0 / ORDERS)
-    commanded = plan.problem.process.speed
+    commanded = float(plan.commanded[bead])
     for k, name in enumerate(NAMES):
         ceiling = np.minimum(each[:, :, k].min(axis=1), _HIGHEST * commanded)
         ax.plot(
@@ -328,7 +332,7 @@ def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
     lines = Line3DCollection(list(segments), cmap=MAP, linewidths=1.6)
     lines.set_array(np.minimum(values[rows][1:], values[rows][:-1])[joined])
     if measure == "speed":  # else rounding would be stretched over all colours
-        commanded = plan.problem.process.speed * 1e3
+        commanded = float(plan.commanded.max()) * 1e3
         lines.set_clim(min(float(values[rows].min()), _SLOWER * commanded), commanded)
     part = _part(plan, points)
     if len(part):
