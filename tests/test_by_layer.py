@@ -492,3 +492,40 @@ def test_plots_draw_the_speeds_that_are_commanded() -> None:
     lines = {line.get_label(): np.asarray(line.get_ydata(), dtype=float) for line in axes.get_lines()}
     plt.close(axes.figure)
     assert {15.0, 40.0, 30.0} <= set(np.round(lines["commanded"][np.isfinite(lines["commanded"])], 6))
+
+
+# --- travel ------------------------------------------------------------------------------------------------
+
+
+def test_travel_that_is_upright_rises_along_the_normal_before_it_goes_across() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        process = SPEED + "  travel: upright\n  lift_mm: 8\n"
+        plan = solve_alone(load_problem(write_small(Path(folder), (SPEED, process))))
+    assert plan.verified
+    t = plan.trajectory
+    for i in range(len(plan.beads) - 1):
+        (last,), (first,) = np.flatnonzero(t.bead == i)[-1:], np.flatnonzero(t.bead == i + 1)[:1]
+        between = np.arange(last, first + 1)
+        rise = plan.toolpath.surface.signed_distance(t.tip[between])
+        ends = plan.paths[i].task.tip[-1], plan.paths[i + 1].task.tip[0]  # of run-out and run-in
+        for end, half in ((ends[0], slice(None, len(between) // 2)), (ends[1], slice(len(between) // 2, None))):
+            low = plan.toolpath.surface.signed_distance(end[None])[0]
+            normal = plan.toolpath.surface.normals(end[None])[0]
+            lifted = (rise[half] > low + 1e-3) & (rise[half] < low + 7e-3)
+            way = t.tip[between][half][lifted] - end
+            assert len(way)
+            assert np.linalg.norm(way - np.outer(way @ normal, normal), axis=1).max() < 1e-4
+        assert rise.max() > 8e-3
+
+
+@pytest.mark.parametrize(
+    ("process", "reason"),
+    [
+        ("  travel: upright\n  hand_over: motion\n", "hand_over is motion, and travel upright"),
+        ("  travel: quickest\n  fibre: {cut_length_mm: 5}\n", "travel is quickest, and there is fibre"),
+        ("  travel: straight\n", "unknown name 'straight'"),
+    ],
+)
+def test_ways_of_travel_that_cannot_be(process: str, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        problem_of(SPEED + process)

@@ -46,6 +46,8 @@ FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, 
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
 HandOver = Literal["rest", "motion"]
 HAND_OVERS: tuple[str, ...] = get_args(HandOver)
+TravelName = Literal["quickest", "upright"]
+TRAVELS: tuple[str, ...] = get_args(TravelName)
 Heating = Literal["set", "wait"]
 HEATINGS: tuple[str, ...] = get_args(Heating)
 
@@ -347,6 +349,12 @@ class AroundBeadSpec(Section):
     lift_height: Annotated[float, Quantity("mm", 1, 500)] = key(
         "lift_mm", "least height of travel above the surface [mm]", 5
     )
+    travel: Annotated[TravelName, one_of(TRAVELS)] | None = key(
+        "travel",
+        "the way between beads: quickest, whatever is clear; upright, up along the normal by lift_mm, across, and down along "
+        "the normal, at rest in between; default: quickest, or upright with fibre",
+        None,
+    )
     hand_over: Annotated[HandOver, one_of(HAND_OVERS)] = key(
         "hand_over",
         "how travel and a bead's runs meet: at rest, or in motion, which fibre does not allow",
@@ -391,6 +399,21 @@ class AroundBeadSpec(Section):
             reason = "hand_over is motion, and there is fibre"
             raise refusal(reason, "leave it out: a fibre's bead begins and ends at rest", fields=["fibre", "hand_over"])
         return self
+
+    @model_validator(mode="after")
+    def _upright_rests(self) -> AroundBeadSpec:
+        if self.travel == "upright" and self.hand_over == "motion":
+            reason = "hand_over is motion, and travel upright"
+            raise refusal(reason, "leave out one: the nozzle rests before it rises", fields=["travel", "hand_over"])
+        if self.travel == "quickest" and self.fibre is not None:
+            reason = "travel is quickest, and there is fibre"
+            raise refusal(reason, "leave it out: a fibre's end is left upright", fields=["travel", "fibre"])
+        return self
+
+    @property
+    def travels_upright(self) -> bool:
+        """Whether the nozzle leaves and reaches beads along the normal, at rest before it goes across."""
+        return self.fibre is not None or self.travel == "upright"
 
     @property
     def ramp(self) -> float | None:

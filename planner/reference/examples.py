@@ -60,6 +60,7 @@ EXAMPLES: dict[str, str] = {
     "greatest_mm": "[500, 500, 400]",
     "halves": "lower",
     "hand_over": "motion",
+    "travel": "upright",
     "head": "{motor: {box_mm: [40, 40, 60], centre_mm: [0, 0, 30]}}",
     "heat": "wait",
     "home_deg": "{rotation: 90}",

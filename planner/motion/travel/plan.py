@@ -107,7 +107,7 @@ def plan_travels(
     def way(i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, start, end)
         ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
-        find = with_time if process.fibre is None else upright
+        find = upright if process.travels_upright else with_time
         margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), 0.0)
         margin = float(margins.min(initial=0.0)) - _SLIGHT
         task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), margin)
