@@ -16,6 +16,7 @@ from planner.plan.seal import changed_since, digest_of
 FAR = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [9000, 9.87, 380]")
 
 
+@pytest.mark.slow
 def test_each_has_its_plan_or_its_reason_in_their_order(tmp_path: Path) -> None:
     told: list[Solved] = []
     far = write_small(tmp_path / "far", FAR)

@@ -116,6 +116,7 @@ def test_every_path_takes_longer_whatever_the_limits(name: str) -> None:
     assert above >= 2  # so that there is something to undercut
 
 
+@pytest.mark.slow
 def test_it_is_tight_where_all_is_at_speed_and_not_where_joints_are_slow() -> None:
     _, cell, tasks = loaded("peer_cap")
     assert bound.bound_any_path(cell, tasks) == pytest.approx(ideal(tasks))

@@ -200,6 +200,7 @@ def test_the_scenes_tip_is_where_the_trajectory_has_it(small: Opened) -> None:
     assert np.reshape(at, (4, 4)) == pytest.approx(expected, abs=3e-3)
 
 
+@pytest.mark.slow
 def test_playing_moves_the_robot_and_lays_the_beads(small: Opened) -> None:
     page = small.page
     small.page.evaluate("() => report.scene.seek(0)")
@@ -377,6 +378,7 @@ def test_all_that_is_folded_fits_on_four_screens(small: Opened) -> None:
     small.page.evaluate("() => scrollTo(0, 0)")
 
 
+@pytest.mark.slow
 def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path) -> None:
     plan = small_plan()
     bead = plan.toolpath.beads[1]

@@ -72,6 +72,7 @@ def test_what_is_cut_is_not_taken_apart(tmp_path: Path, capsys: pytest.CaptureFi
     assert "crossings; at most 200,000" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_many_curves_are_measured_and_not_laid(tmp_path: Path) -> None:
     found = examine(load(inputs.curves(tmp_path)))
     assert not found.mistakes and found.toolpath is None and not found.first_layer

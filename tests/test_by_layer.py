@@ -296,6 +296,7 @@ def test_a_pause_away_from_home_fails() -> None:
     assert "pauses before layers" in failed(replace(plan, trajectory=replace(t, q=q)))
 
 
+@pytest.mark.slow
 def test_a_print_that_is_resumed_has_the_pauses_that_are_left() -> None:
     with tempfile.TemporaryDirectory() as folder:
         problem = load_problem(write_small(Path(folder), THREE, (SPEED, ALL)))
@@ -425,6 +426,7 @@ def test_beads_come_in_the_order_of_their_names() -> None:
     assert [bead.name for bead in drawn("").beads] != names
 
 
+@pytest.mark.slow
 def test_walls_or_infill_of_a_mesh_come_first_as_asked() -> None:
     for order in ("['*wall*']", "['*infill*', '*wall*']"):
         toolpath = build_toolpath(load_problem("saddle_ring", [f"process.order={order}"]))
@@ -497,6 +499,7 @@ def test_plots_draw_the_speeds_that_are_commanded() -> None:
 # --- travel ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_travel_that_is_upright_rises_along_the_normal_before_it_goes_across() -> None:
     with tempfile.TemporaryDirectory() as folder:
         process = SPEED + "  travel: upright\n  lift_mm: 8\n"

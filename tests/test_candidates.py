@@ -90,6 +90,7 @@ def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
     assert (plan.q <= limits.q_max + 1e-9).all() and (plan.q >= limits.q_min - 1e-9).all()
 
 
+@pytest.mark.slow
 def test_what_the_search_refuses_a_simpler_strategy_may_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from planner.base.errors import Refusal
     from planner.planning import pipeline

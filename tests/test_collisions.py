@@ -128,6 +128,7 @@ def test_3_the_head_and_a_wall_of_the_part(tmp_path: Path) -> None:
             assert (worst.a, worst.b) == ("print head", "part") and -0.005 < worst.distance < 0.0
 
 
+@pytest.mark.slow(keep=("False",))
 @pytest.mark.parametrize("wall_first", [True, False])
 def test_4_the_nozzle_and_a_wall_that_stands_already(tmp_path: Path, wall_first: bool) -> None:
     """A low bead beside a wall: in the other order the same beads are laid without touching anything."""

@@ -273,6 +273,7 @@ def test_output_folder_that_cannot_be(run: Callable[..., Outcome], tmp_path: Pat
     assert time.perf_counter() - start < 5.0
 
 
+@pytest.mark.slow
 def test_a_folder_stands_where_a_result_would(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     (tmp_path / "results" / "report.html").mkdir(parents=True)
@@ -281,6 +282,7 @@ def test_a_folder_stands_where_a_result_would(run: Callable[..., Outcome], tmp_p
     wrong_input(run("small.yaml", "--out", "results"), tmp_path, contents(tmp_path), "report.html")
 
 
+@pytest.mark.slow
 def test_disk_that_is_full(run: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_small(tmp_path)
     assert run("small.yaml", "--out", "results", "--quiet").code == 0
@@ -323,6 +325,7 @@ def place_in(message: str) -> tuple[int, int, float]:
     return int(found[1]), int(found[2]), float(found[3])
 
 
+@pytest.mark.slow(keep=("ladder",))
 @pytest.mark.parametrize("strategy", ["ladder", "greedy", "fixed", "as_published"])
 def test_cylinder_out_of_reach(run: Callable[..., Outcome], tmp_path: Path, strategy: str) -> None:
     write_small(tmp_path, OUT_OF_REACH)
@@ -351,6 +354,7 @@ def test_how_far_out_of_reach(run: Callable[..., Outcome], tmp_path: Path) -> No
 LIMITS = "    free: [rotation]\n"
 
 
+@pytest.mark.slow(keep=("ladder",))
 @pytest.mark.parametrize("strategy", ["ladder", "greedy", "fixed", "as_published"])
 def test_joint_range_that_leaves_no_posture(run: Callable[..., Outcome], tmp_path: Path, strategy: str) -> None:
     """The first three joints hardly leave home, so that the wrist stays where it is."""
@@ -375,6 +379,7 @@ def test_joints_too_slow_for_the_speed_slow_the_print_down(run: Callable[..., Ou
     assert metrics["deposition_time_s"] > 3.0 * metrics["ideal_deposition_time_s"]
 
 
+@pytest.mark.slow
 def test_every_posture_too_near_a_singularity(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     message, _ = refused(run("small.yaml", "--set", "resolve.min_sigma=0.9"), tmp_path / "out" / "small")
@@ -418,6 +423,7 @@ def test_no_plan_removes_stale_robot_code_and_nothing_else(run: Callable[..., Ou
     assert (folder / "photos" / "print.mod").read_text() == "mine too"
 
 
+@pytest.mark.slow
 def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     folder = tmp_path / "out" / "small"
@@ -437,6 +443,7 @@ def test_robot_code_of_a_problem_that_was_renamed_goes(run: Callable[..., Outcom
     assert {path.name for path in (tmp_path / "results").iterdir()} == expected
 
 
+@pytest.mark.slow
 def test_robot_programs_of_others_are_left_alone(run: Callable[..., Outcome], tmp_path: Path) -> None:
     """A folder of robot programs is a likely place for results; those programs are not ours to delete."""
     write_small(tmp_path)
@@ -645,7 +652,7 @@ def put_earlier(folder: Path) -> None:
             (fresh / name).write_text("earlier")
 
 
-@pytest.mark.slow(keep=("before the resolving-SIGINT", "when all is written aside-SIGTERM"))
+@pytest.mark.slow(keep=("when all is written aside-SIGTERM",))
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("place", PLACES)
 def test_interruption_leaves_earlier_results(tmp_path: Path, place: str, number: int) -> None:
@@ -670,7 +677,7 @@ def nothing_came_of_it(folder: Path, place: str, number: int = signal.SIGINT) ->
     assert contents(folder) == before
 
 
-@pytest.mark.slow(keep=("SIGTERM",))
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_interruption_while_files_change_places(tmp_path: Path, number: int) -> None:
     """All of the new files or all of the old ones, and a message that says which."""

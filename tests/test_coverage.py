@@ -103,6 +103,7 @@ def test_a_tour_of_few_samples_is_the_shortest(places: list[tuple[int, int]]) ->
     assert distance[order[:-1], order[1:]].sum() <= shortest * (1.0 + 1e-6) + 1e-6 * n * SPACING
 
 
+@pytest.mark.slow
 def test_a_tour_does_not_cross_and_is_the_same_each_time() -> None:
     surface = flat(np.random.default_rng(3).uniform(0.0, 0.06, (60, 2)))
     order = tour(surface)

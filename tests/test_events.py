@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planner.motion.extrusion import Span, events
+from planner.motion.visits import Rest
 from planner.plan import TRAVEL, Event
+from planner.problem.by_layer import PauseSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.runs import least_travel_time, prime_time
 
@@ -71,13 +73,32 @@ def test_heating_without_waiting_is_told_too() -> None:
     assert heat == Event("heat", TRAVEL, 0.0, 0.0, 0.0)
 
 
+def test_a_layer_cools_before_a_pause_and_that_comes_before_a_change() -> None:
+    spec = process(materials={"a": {}, "b": {}}, change={"wait_s": 4.0, "purge_mm": 10.0})
+    pause = PauseSpec(before_layer=2, wait_s=3.0, purge_mm=5.0, **{"for": "look"})
+    rest = Rest(20.0, 1.5, pause, True)
+    assert rest.time(spec) == pytest.approx(1.5 + 3.0 + 1.0 + 4.0 + 2.0)
+    found = events(spec, [Span(0, 10.0, 19.0, material="a"), Span(1, 40.0, 50.0, material="b", at_home=rest)])
+    assert found[1:] == (
+        Event("cool", 1, 20.0, 1.5, 0.0),
+        Event("pause", 1, 21.5, 3.0, 0.0, "", "look"),
+        Event("purge", 1, 24.5, 1.0, 0.005, "a"),
+        Event("change", 1, 25.5, 4.0, 0.0, "b"),
+        Event("purge", 1, 29.5, 2.0, 0.01, "b"),
+    )
+    assert [event.words for event in found[1:3]] == ["cool, bead 1", "pause: look, bead 1"]
+
+
 def test_a_change_of_material_stands_where_the_robot_rests_and_the_new_one_is_purged() -> None:
     spec = process(
         materials={"a": {"retract": {"length_mm": 3.0, "speed_mm_s": 30.0}}, "b": {"prime": {"length_mm": 2.0}}},
         change={"wait_s": 4.0, "purge_mm": 10.0},
         start={"heat_wait_s": 60.0, "purge_mm": 5.0},
     )
-    found = events(spec, [Span(0, 70.0, 80.0, material="a"), Span(1, 95.0, 99.0, material="b", change=85.0)])
+    found = events(
+        spec,
+        [Span(0, 70.0, 80.0, material="a"), Span(1, 95.0, 99.0, material="b", at_home=Rest(85.0, 0.0, None, True))],
+    )
     assert found == (
         Event("heat", TRAVEL, 0.0, 60.0, 0.0, "a"),
         Event("select", TRAVEL, 60.0, 0.0, 0.0, "a"),

@@ -77,7 +77,7 @@ def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
     assert [event.kind for event in t.events].count("cut") == len(plan.toolpath.beads)
 
 
-@pytest.mark.slow(keep=("program1-fibre_bowl", "program1-fibre_plane", "program1-fibre_corrugated"))
+@pytest.mark.slow(keep=("program1-fibre_plane",))
 @pytest.mark.parametrize("name", FIBRES)
 @pytest.mark.parametrize("program", [(), PUBLISHED, ("program.chord_mm=0.1", "program.tangent_deg=3")])
 def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str, ...]) -> None:
@@ -88,6 +88,7 @@ def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str
     assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
+@pytest.mark.slow
 def test_a_looser_program_has_fewer_lines_and_a_tighter_one_more() -> None:
     count = {chord: len(segments(divided("fibre_plane", f"program.chord_mm={chord}"))[0]) for chord in (0.01, 0.1, 1)}
     assert count[0.01] > 2 * count[0.1]

@@ -63,6 +63,7 @@ def test_what_an_upright_nozzle_cannot_print_is_printed_with_one_that_leans(tmp_
     assert 1.0 < check.worst <= check.limit == lean
 
 
+@pytest.mark.slow
 def test_a_refusal_advises_the_lean_and_shows_the_posture(tmp_path: Path) -> None:
     problem = problem_of(tmp_path)
     with pytest.raises(Refusal) as caught:
@@ -78,6 +79,7 @@ def test_a_refusal_advises_the_lean_and_shows_the_posture(tmp_path: Path) -> Non
     assert (np.delete(beyond, 4) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_default_is_offered_where_another_strategy_has_no_way(tmp_path: Path) -> None:
     with pytest.raises(Refusal) as caught:
         solve(problem_of(tmp_path, f"{LEAN}=5"), "ladder", baseline=False)

@@ -168,6 +168,7 @@ def test_noise_is_told() -> None:
     assert close.gap <= FARTHEST_FROM_FACETS and not close.words
 
 
+@pytest.mark.slow
 def test_waves_are_no_noise() -> None:
     """What is as small as noise, but goes on from facet to facet, is a shape: followed or refused, not smoothed away."""
     x = np.arange(81) * 0.5e-3
@@ -176,6 +177,7 @@ def test_waves_are_no_noise() -> None:
     assert body.why == "" and body.gap <= FARTHEST_FROM_FACETS
 
 
+@pytest.mark.slow
 def test_a_bump_is_no_noise() -> None:
     x = (np.arange(81) - 40) * 0.5e-3
     far = x[:, None] ** 2 + x[None] ** 2

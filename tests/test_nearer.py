@@ -44,7 +44,7 @@ process: {speed_mm_s: 20, travel_speed_mm_s: 200, bead: {width_mm: 0.8, height_m
     return load(folder / "flat.yaml", *overrides)
 
 
-@pytest.mark.slow(keep=("a rim",))
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "kept"),
     [(RIM.format(0.9), [0.5, 0.2, 0.0]), ("cell.positioner.origin_mm=[4000, 0, 600]", [])],
@@ -141,6 +141,7 @@ def test_what_nothing_can_pass_is_refused_after_one_search(
     assert len(searches) == (2 if far else 1)  # out of reach in a run-in: once more with that shortened
 
 
+@pytest.mark.slow
 def test_a_place_is_passable_where_something_drawn_there_is_clear(tmp_path: Path) -> None:
     for print_of, free in ((down, False), (flat, True)):
         problem = print_of(tmp_path)

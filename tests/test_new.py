@@ -57,6 +57,7 @@ def test_default_answers_are_accepted_and_solved(
     assert solve(problem, dt=0.01).verified
 
 
+@pytest.mark.slow(keep=("pattern", "mesh"))
 @pytest.mark.parametrize("what", WHAT)
 def test_every_kind_is_accepted(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("peer_cap.txt", "planar_box.gcode", "saddle_ring.stl"):

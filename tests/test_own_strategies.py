@@ -65,6 +65,7 @@ def test_what_it_answers_is_verified() -> None:
     assert not plan.verified and "tip on the path" in {check.name for check in plan.checks if not check.ok}
 
 
+@pytest.mark.slow
 def test_a_refusal_of_its_own_is_a_refusal() -> None:
     def none(cell: Any, tasks: Any, settings: Any, obstacles: Any) -> Any:
         raise Refusal("nothing I like", bead=1)

@@ -57,6 +57,7 @@ def test_terms_on_the_page_are_short_and_their_derivatives_right() -> None:
     check_term(on_the_page("KeepSlow")("joint_3", 0.3, 0.5), random_samples(JOINTS))
 
 
+@pytest.mark.slow
 def test_joint_5_stays_farther_from_0() -> None:
     given, paths = start("cylinder_logo", "layers.count=1", beads=8)
     term = on_the_page("KeepAway")("joint_5", room=1.5, cost=5.0)

@@ -178,6 +178,7 @@ def test_floor_changes_nothing_above_it(bed: Problem, bed_tasks: tuple[NozzleTas
     assert score(cell, looked_at, 0.05, 1.01 * whole) == 0.0
 
 
+@pytest.mark.slow
 def test_terms_are_those_of_the_arm(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
     """Sigma against singular values by numpy, on the paths of a strategy: the grid's best is no worse by much."""
     cell = build_cell(bed)

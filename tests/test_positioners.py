@@ -316,6 +316,7 @@ def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
         rapid(plan)
 
 
+@pytest.mark.slow(keep=("iiwa",))
 @pytest.mark.parametrize("arm", OTHERS)
 def test_another_branch_is_noticed_on_every_kind_of_arm(folder: Path, arm: str) -> None:
     plan = plan_of(folder, arm)

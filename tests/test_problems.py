@@ -91,7 +91,7 @@ def test_shipped_problem_is_solved_and_verified(name: str) -> None:
     assert plan.metrics["deposited_length_mm"] > 100.0
 
 
-@pytest.mark.slow(keep=("ours",))
+@pytest.mark.slow
 def test_ladder_keeps_the_promises(logo: str) -> None:
     plan = solved(logo, "ladder")
     promises_kept(plan)

@@ -126,6 +126,7 @@ def coarse_beads(draw: st.DrawFn) -> Bead:
     return bead_of(points, normals)
 
 
+@pytest.mark.slow
 @given(coarse_beads(), ramps)
 @settings(max_examples=300)
 def test_runs_of_coarse_and_rough_beads_keep_their_shape(bead: Bead, ramp: float | None) -> None:

@@ -312,6 +312,7 @@ def test_what_is_short_takes_no_longer() -> None:
     assert primed == pytest.approx(plain, abs=0.2)
 
 
+@pytest.mark.slow
 def test_what_the_motor_does_is_no_matter_to_the_motion() -> None:
     for name in ("lag", "speed demand", "on or off", "rounded"):
         np.testing.assert_array_equal(solved("plain").trajectory.q, solved(name).trajectory.q)

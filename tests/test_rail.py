@@ -436,6 +436,7 @@ def test_a_print_under_a_gantry_is_verified(hanging: Plan) -> None:
     np.testing.assert_allclose(hanging.metrics["sigma_min"], least, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", PROGRAMS)
 def test_programs_say_where_the_gantry_is(hanging: Plan, language: str) -> None:
     """Both axes are written and read back; a target that has one elsewhere is noticed."""
@@ -502,6 +503,7 @@ def test_a_print_on_a_table_that_slides_is_verified(slid: Plan) -> None:
     assert [(joint["type"], joint["moves"]) for joint in joints[5:]] == [("revolute", "nozzle"), ("prismatic", "part")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", PROGRAMS)
 def test_programs_say_where_the_table_is(slid: Plan, language: str) -> None:
     chosen = LANGUAGES[language]

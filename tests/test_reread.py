@@ -29,7 +29,7 @@ from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.nurbs import NurbsCurve
 from planner.toolpath.substrate.patterns import pattern
-from planner.verify.checks import Findings, Judged
+from planner.verify.checks import Findings, Judged, asked_speeds
 from planner.verify.reread.part_surface import feet, level_of
 from planner.verify.reread.plane_curves import _nurbs, read_again
 from planner.verify.reread.points import segments_of
@@ -141,7 +141,12 @@ def found(
     )
     motion = SimpleNamespace(tip=np.concatenate(tip), axis=np.concatenate(axis))
     judged: Any = SimpleNamespace(
-        problem=problem, toolpath=toolpath, trajectory=trajectory, motion=motion, body=body or print_body(toolpath)
+        problem=problem,
+        toolpath=toolpath,
+        trajectory=trajectory,
+        motion=motion,
+        body=body or print_body(toolpath),
+        commanded=asked_speeds(problem.process, toolpath),
     )
     return as_the_problem_says(judged_of(judged))
 

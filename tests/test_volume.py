@@ -128,6 +128,7 @@ def test_the_file_is_what_the_script_draws() -> None:
     assert script["RISE"] == RISE * 1e3
 
 
+@pytest.mark.slow
 def test_layers_share_the_height_of_the_true_ring_out() -> None:
     toolpath = ring()
     assert toolpath.layers == LAYERS
@@ -435,6 +436,7 @@ def test_blocks_that_touch_anyhow_have_the_area_of_their_cells(cells: list[tuple
     assert region.area * 1e6 == pytest.approx(100.0 * sum(z == level for _, _, z in cells), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_layer_too_narrow_is_left_out_and_told(tmp_path: Path) -> None:
     """A ball stands on a point: its lowest layers are specks."""
     ball = trimesh.creation.icosphere(subdivisions=4, radius=6.0)

@@ -281,6 +281,7 @@ def test_level_layers_reach_as_far_as_the_wing_does_at_half_their_height(planar:
     assert len(named) == 24, "12 mm in layers of half a millimetre"
 
 
+@pytest.mark.slow
 def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
     z = np.array([bead.points[0, 2] for bead in planar.beads])
     assert (np.diff(z) >= 0.0).all()
