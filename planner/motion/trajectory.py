@@ -108,6 +108,8 @@ def _rests(
 ) -> dict[int, Rest]:
     """When and how long the robot rests at home before beads, by their index."""
     by_home, beads = visits(process, toolpath.beads, timed), toolpath.beads
+    if not by_home:
+        return {}
     before, now = len(beads) - len(timed), process.start.time
     found: dict[int, Rest] = {}
     begun: list[float] = []  # when the beads began to be laid [s]

@@ -44,18 +44,17 @@ class Rest:
 
 def visits(process: ProcessSpec, beads: Sequence[Bead], timed: Sequence[TimedPath]) -> Mapping[int, Visit]:
     """Beads, by index, before which the robot goes home, and why; timed: all of them, or the last ones."""
-    before = len(beads) - len(timed)
+    before, least = len(beads) - len(timed), 0.0 if process.layer_time is None else process.layer_time.least - _SLIGHT
     pauses = {pause.before_layer - 1: pause for pause in process.pauses}
     found: dict[int, Visit] = {}
     first, seen = before, {beads[before].layer}
-    laying = _laying(timed[0], beads[before])
+    laying = _laying(timed[0], beads[before]) if least else 0.0
     for i in range(before + 1, len(beads)):
         bead, path = beads[i], timed[i - before]
         new = bead.layer not in seen
         seen.add(bead.layer)
-        quick = process.layer_time is not None and laying < process.layer_time.least - _SLIGHT
         visit = Visit(
-            layer_before=first if new and quick else None,
+            layer_before=first if new and laying < least else None,
             pause=pauses.get(bead.layer) if new else None,
             change=beads[i - 1].material != bead.material,
         )
@@ -63,7 +62,7 @@ def visits(process: ProcessSpec, beads: Sequence[Bead], timed: Sequence[TimedPat
             found[i] = visit
         if new:
             first, laying = i, 0.0
-        laying += _laying(path, bead)
+        laying += _laying(path, bead) if least else 0.0
     return found
 
 

@@ -26,7 +26,7 @@ LayerNumber = Annotated[int, Quantity("", 1, 100_000, whole=True)]
 
 LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that what happens before and after never falls into the same one
 _SLOWEST = 0.5  # of the process's speed, where nothing else is given: below, thin beads drag and pull off
-_MOST = 1000
+_MOST = 100
 
 
 def fits(pattern: str, name: str) -> bool:

@@ -58,7 +58,7 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
     if not plan.dips:
         return None
     shown = sorted(worst_first(plan.dips)[:MOST_MARKS], key=lambda dip: dip.t)
-    traj = plan.trajectory
+    traj, commanded = plan.trajectory, plan.commanded
     at = samples_of(traj, shown)
     return {
         "point": traj.tip[at].astype(np.float32).ravel(),
@@ -68,13 +68,13 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
         "cost": np.sqrt(np.array([dip.lost for dip in shown]) / max(max(dip.lost for dip in shown), 1e-9)).astype(
             np.float32
         ),
-        "words": [_lines(dip, float(plan.commanded[dip.bead])) for dip in shown],
+        "words": [_lines(dip, float(commanded[dip.bead])) for dip in shown],
     }
 
 
 def dips_section(plan: Plan) -> Markup:
     """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
-    dips = without_stops(plan.dips)
+    dips, commanded = without_stops(plan.dips), plan.commanded
     by_cause: dict[str, list[Dip]] = defaultdict(list)
     for dip in dips:
         by_cause[dip.cause].append(dip)
@@ -88,9 +88,9 @@ def dips_section(plan: Plan) -> Markup:
         all_marked=len(plan.dips) <= MOST_MARKS,
         most_marks=MOST_MARKS,
         flows=any(dip.over_extruded for dip in dips),
-        commanded=plan.commanded * 1e3,
+        commanded=commanded * 1e3,
         place=place_words,
-        followable=lambda dip: followable(dip, float(plan.commanded[dip.bead])),
+        followable=lambda dip: followable(dip, float(commanded[dip.bead])),
     )
 
 
