@@ -53,6 +53,7 @@ def test_every_command_is_listed() -> None:
             can.add(".".join(path.relative_to(ROOT / "planner").with_suffix("").parts).removesuffix(".__main__"))
     assert known <= can
     assert can - known == {
+        "problem.cad_facets",
         "report.picture",
         "toolpath.step.reader",
         "verify.reread.step_process",
