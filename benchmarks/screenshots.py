@@ -105,7 +105,7 @@ def refused(folder: Path) -> Path:
 def worst_place(page: Page) -> None:
     """Ride with the part, and look at the slowest place."""
     page.select_option("#ride", "part")
-    page.locator(".places button").first.click()
+    page.locator(".judged [data-place]").first.click()
 
 
 SHOTS = {

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from report_page import own_text
 from solved import bed_plan, small_plan
 
 from planner.cell.cell import Cell
 from planner.plan import Approach, Plan
-from planner.report.places import NEAREST, approaches_section, places_data, places_of
+from planner.report.html import write_report
+from planner.report.judged import PAIRS, judged
+from planner.report.places import places_data
 from planner.report.scene import TOLERANCE, cell_data, postures
 from planner.verify.bodies import CellBodies
 from planner.verify.drawing import cell_view
@@ -88,29 +92,33 @@ def test_a_cell_can_be_shown_without_a_plan(plan: Plan) -> None:
     assert cell_data(plan.cell, None) is None and isinstance(plan.cell, Cell)
 
 
-def test_pairs_stand_in_the_table_and_the_nearest_in_the_list(plan: Plan) -> None:
-    places = places_of(plan)
-    near = [place for place in places if place.kind == "near"]
-    assert [place.sample for place in near] == [each.sample for each in plan.approaches]
-    assert [bool(place.letter) for place in near] == [k < NEAREST for k in range(len(near))]
-    text = approaches_section(plan, places)
-    assert text.count("<button") == len(plan.approaches)
-    assert f"data-place={places.index(near[0])} " in text and f"{plan.approaches[0].distance * 1e3:.1f}" in text
-    data = places_data(plan, places)
+def test_each_pair_is_one_row_and_the_nearest_is_that_of_its_check(plan: Plan) -> None:
+    found = judged(plan)
+    pairs = [row.place.pair for row in found.rows if row.place is not None and row.place.pair]
+    assert len(pairs) == len(set(pairs)) and set(pairs) == {(each.a, each.b) for each in plan.approaches}
+    worst = next(check for check in plan.checks if check.name == "robots clear of each other and of fixtures")
+    (nearest,) = (each for each in plan.approaches if worst.where.startswith(f"{each.a} and {each.b}"))
+    (row,) = (row for row in found.rows if row.name == worst.name)
+    assert row.place is not None and row.place.pair == (nearest.a, nearest.b) and row.place.sample == nearest.sample
+    data = places_data(plan, found.places)
     drawn = {*sum(plan.view.bodies, ()), "part", "print"} if plan.view else set()
     assert all(name in drawn for each in data for name in each["pair"])
 
 
-def test_a_pair_that_is_too_near_stands_out_and_names_are_escaped(plan: Plan) -> None:
+def test_a_pair_that_is_too_near_stands_out_and_names_are_escaped(plan: Plan, tmp_path: Path) -> None:
     evil = Approach("<img src=x>", "bead 3", 1e-3, 5e-3, 0)
     changed = replace(plan, approaches=(evil, *plan.approaches[1:]))
-    places = places_of(changed)
-    text = approaches_section(changed, places)
-    assert "<tr class=bad>" in text and "<img" not in text
-    (first,) = (each for each in places_data(changed, places) if each["pair"][:1] == ["<img src=x>"])
+    found = judged(changed)
+    (row,) = found.failed
+    assert row.name == "<img src=x> – bead 3" and row.value == "1.0" and row.limit == "≥\u20095"
+    assert found.places[0].letter == "A" and found.places[0].pair == ("<img src=x>", "bead 3")
+    (first,) = (each for each in places_data(changed, found.places) if each["pair"][:1] == ["<img src=x>"])
     assert first["pair"] == ["<img src=x>", "print"]
+    write_report(changed, tmp_path / "r.html")
+    text = own_text(tmp_path / "r.html")
+    assert "<tr class=bad>" in text and "<img" not in text
 
 
-def test_nothing_near_is_no_section(plan: Plan) -> None:
-    changed = replace(plan, approaches=())
-    assert approaches_section(changed, places_of(changed)) == ""
+def test_nothing_near_is_no_row(plan: Plan) -> None:
+    found = judged(replace(plan, approaches=()))
+    assert PAIRS not in dict(found.rest) and not any(place.pair for place in found.places)

@@ -22,6 +22,7 @@ from planner.planning.pipeline import solve
 from planner.planning.solve_command import report_refusal
 from planner.report.failure import write_failure_report
 from planner.report.html import write_report
+from planner.report.judged import judged
 
 pytestmark = NEEDS_CHROMIUM
 DOUBLE_CLICK = 400  # ms: what plotly takes for one click if two come sooner (300), and some more
@@ -101,7 +102,7 @@ def test_a_report_complains_of_nothing_and_asks_the_network_for_nothing(stars: O
 
 def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> None:
     page = small.page
-    for what in (".verdict", ".deciding", "#view", "#play", ".places button >> nth=0"):
+    for what in (".verdict", ".deciding", "#view", "#play", ".deciding [data-place] >> nth=0"):
         box = page.locator(what).bounding_box()
         assert box is not None and 0 <= box["y"] < 768 - 40, f"{what} stands on the first screen"
     page.locator("[data-view=cell]").click()
@@ -227,7 +228,7 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     page, plan = small.page, small_plan()
     page.locator("[data-view=cell]").click()
     far = page.evaluate("() => report.scene.stage.world.camera.position.toArray()")
-    button = page.locator(".places button").first
+    button = page.locator(".judged [data-place]").first
     button.click()
     small.settle()
     place = page.evaluate("() => report.page.scene.places[0]")
@@ -238,10 +239,15 @@ def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     assert place["what"] in card and place["where"] in card and place["help"] in card
     assert button.get_attribute("aria-pressed") == "true"
     unfold(small)
-    show = page.locator("td button[data-place]").first
+    near = plan.approaches[0]
+    show = page.locator("[data-place]", has_text=f"{near.a} – {near.b}").first
+    if not show.count():  # the pair that a check tells stands in the row of that check
+        show = page.locator(".judged tr", has_text=f"{near.a} and {near.b}").locator("[data-place]")
     show.click()
     small.settle()
-    assert page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[plan.approaches[0].sample])
+    assert page.evaluate("() => report.scene.player.t") == pytest.approx(
+        plan.trajectory.t[near.sample], abs=plan.trajectory.dt
+    )
     painted = page.evaluate("() => report.scene.stage.bodies.map((b) => b.mesh.material.color.getHex())")
     drawn_for = page.evaluate("() => report.scene.stage.bodies.map((b) => b.bodies)")
     pair = [plan.approaches[0].a, plan.approaches[0].b]
@@ -368,14 +374,58 @@ def test_charts_run_over_the_length_laid_as_well(stars: Opened) -> None:
     )
 
 
+@pytest.mark.slow(keep=("desk",))
+@pytest.mark.parametrize("size", [pytest.param((1300, 900), id="desk"), pytest.param(PHONE, id="phone")])
+def test_the_page_is_four_screens_high_at_most(browser: Browser, tmp_path: Path, size: tuple[int, int]) -> None:
+    """As it opens; a larger print has as many charts, folds and rows that are not folded, give or take two."""
+    plan = small_plan()
+    assert len(judged(plan).tight) >= 5
+    write_report(plan, tmp_path / "r.html")
+    with opened(browser, tmp_path / "r.html", size) as found:
+        assert found.page.evaluate("() => document.documentElement.scrollHeight") <= 4 * size[1]
+        assert found.page.evaluate("() => document.documentElement.scrollWidth") <= size[0]
+
+
 @pytest.mark.slow
-def test_all_that_is_folded_fits_on_four_screens(small: Opened) -> None:
-    small.page.evaluate("() => document.querySelectorAll('details').forEach((each, k) => { each.open = k === 0; })")
-    assert small.page.evaluate("() => document.documentElement.scrollHeight") <= 4 * 768
+def test_the_scene_stays_beside_what_is_read(small: Opened) -> None:
     small.page.evaluate("() => scrollTo(0, 1200)")
     view = small.page.locator("#view").bounding_box()
-    assert view is not None and -5 <= view["y"] < 40, "the scene stays beside what is read"
+    assert view is not None and -5 <= view["y"] < 40
     small.page.evaluate("() => scrollTo(0, 0)")
+
+
+def test_a_row_moves_scene_chart_and_card_by_the_keyboard_too(small: Opened) -> None:
+    page, plan = small.page, small_plan()
+    row = page.locator(".judged [data-place]", has_text="singularity margin").first
+    row.focus()
+    page.keyboard.press("Enter")
+    small.settle()
+    at = next(check.sample for check in plan.checks if check.name == "singularity margin")
+    assert page.evaluate("() => report.scene.player.t") == pytest.approx(plan.trajectory.t[at])
+    assert "singularity margin" in page.locator("#card").inner_text() and row.get_attribute("aria-pressed") == "true"
+    page.locator("#chart-speed").scroll_into_view_if_needed()
+    small.settle()
+    where = page.evaluate(
+        "() => { const c = document.getElementById('chart-speed'), l = c.querySelector('.cursor').getBoundingClientRect(),"
+        " x = c._fullLayout.xaxis; return x.p2l(l.x - c.getBoundingClientRect().x - x._offset); }"
+    )
+    assert where == pytest.approx(plan.trajectory.t[at], abs=0.01 * plan.trajectory.t[-1])
+    page.locator("#card-close").click()
+    page.evaluate("() => scrollTo(0, 0)")
+
+
+def test_the_list_is_searched_by_a_word(small: Opened) -> None:
+    page = small.page
+    unfold(small)
+    rows = page.locator("#rest tbody tr:not(.group):visible")
+    whole = rows.count()
+    page.fill("#find", "Filament")
+    names = rows.all_inner_texts()
+    assert 0 < len(names) < whole and all("filament" in name.lower() for name in names)
+    assert page.locator("#found").inner_text() == f"{len(names)} row{'s' if len(names) > 1 else ''}"
+    assert page.locator("#rest tr.group:visible").all_inner_texts() == ["material"]
+    page.fill("#find", "")
+    assert rows.count() == whole
 
 
 @pytest.mark.slow
@@ -480,7 +530,7 @@ def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(smal
     page.locator("#roll-map").scroll_into_view_if_needed()
     for which, found in enumerate(plan.roll_maps[:2]):
         page.select_option("#roll-map-which", index=which)
-        page.select_option("#roll-map-measure", label="nearest end stop")
+        page.select_option("#roll-map-measure", label="joint range")
         small.settle()
         box = page.locator("#roll-map .nsewdrag").first.bounding_box()
         assert box is not None
@@ -491,7 +541,7 @@ def test_the_roll_map_says_what_is_under_the_pointer_and_leads_to_the_scene(smal
         page.locator("#roll-map .hovertext").wait_for(state="attached")
         i = int(np.argmin(np.abs(found.along - 0.7 * found.along[-1])))
         said = page.locator("#roll-map .hoverlayer").text_content() or ""
-        assert said.startswith(f"bead {found.bead[i]}, ") and "nearest end stop" in said
+        assert said.startswith(f"bead {found.bead[i]}, ") and "joint range" in said
         assert float(said.split("mm")[0].split(", ")[1]) == pytest.approx(found.s[i] * 1e3, abs=1.5)
         page.wait_for_timeout(DOUBLE_CLICK)
         page.mouse.click(x, y)

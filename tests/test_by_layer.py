@@ -31,7 +31,7 @@ from planner.problem.process import ProcessSpec
 from planner.report import plots
 from planner.report.channels import channels
 from planner.report.charts import time_charts
-from planner.report.places import dips_section, places_of
+from planner.report.places import dip_place, dips_section
 from planner.report.summary import print_summary
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
@@ -482,10 +482,10 @@ def test_the_report_holds_each_bead_to_its_own_speed(tmp_path: Path) -> None:
     assert speed["unit"] == "%"
     assert 90.0 < speed["max"] < 103.0
     assert "commanded" in json.dumps(time_charts(plan)[0], default=str)
-    slowest = next(place for place in places_of(plan) if place.what == "Slowest")
-    assert any(slowest.value.endswith(f" of {commanded * 1e3:g} mm/s") for commanded in plan.commanded)
+    section = dips_section(plan, range(len(plan.dips)))
     for dip in plan.dips:
-        assert f" of {plan.commanded[dip.bead] * 1e3:g}</td>" in dips_section(plan)
+        assert f" of {plan.commanded[dip.bead] * 1e3:g}</td>" in section
+        assert f" of {plan.commanded[dip.bead] * 1e3:g} mm/s" in dip_place(plan, dip).value
 
 
 def test_plots_draw_the_speeds_that_are_commanded() -> None:

@@ -479,7 +479,7 @@ def test_verified_plan(run: Callable[..., Outcome], tmp_path: Path, quiet: list[
     assert {path.name for path in tmp_path.iterdir()} == {"small.yaml", "small.svg", "out"}
     header = next(line for line in outcome.out.splitlines() if "ladder" in line)
     assert "as_published" in header
-    assert re.search(r"at commanded speed.* \d+\.\d .* \d+\.\d .*% of length", outcome.out)
+    assert re.search(r"at commanded speed.* \d+\.\d+ .* \d+\.\d+ .*%", outcome.out)
     assert re.search(r"verified: \d+ checks hold", outcome.out)
     assert str(Path("out") / "small") in outcome.out
 

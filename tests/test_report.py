@@ -21,23 +21,26 @@ from matplotlib.image import imread
 from plotly.offline import get_plotlyjs
 from report_fixtures import CENTRE, HEIGHT, RADIUS, SHAPE, make_beads, make_plan, make_problem, with_dips, write_folder
 from report_page import figures, library, own_text, points, values, visible
+from solved import small_plan
 
 from planner.base.errors import InputError, OutputError
 from planner.export.write import write_part
 from planner.plan import Event
+from planner.plan.measures import CHECKS
 from planner.problem import Problem
 from planner.problem.fields import described
 from planner.report import picture, places
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
-from planner.report.html import _command, _header, summary_table, write_report
+from planner.report.html import _command, _header, write_report
+from planner.report.judged import DEAREST, HEADLINES, MARGINS, judged
 from planner.report.picture import read_part
-from planner.report.places import MOST_MARKS, MOST_ROWS, worst_places
+from planner.report.places import MOST_MARKS, MOST_ROWS, worst_samples
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
-from planner.report.wording import FARTHEST, distance, duration, number, with_ratios
+from planner.report.wording import FARTHEST, GROUPS, METRICS, distance, duration, number, with_ratios
 from planner.verify.checks import FAR
 
 MB = 1_000_000
@@ -199,7 +202,7 @@ def test_the_part_is_drawn_where_it_is() -> None:
 
 def test_dips_are_marked_where_they_are_and_say_why() -> None:
     plan = with_dips(make_plan(12_000))
-    marks = plan_scene(plan, worst_places(plan))["dips"]
+    marks = plan_scene(plan, judged(plan).places)["dips"]
     assert len(plan.dips) == len(marks["words"]) == len(marks["sample"]) > 100
     for dip, at, point, normal, words in zip(
         plan.dips,
@@ -259,7 +262,7 @@ def test_a_stop_that_was_asked_for_is_no_dip(tmp_path: Path, capsys: pytest.Capt
     words = visible(tmp_path / "only.html")
     assert "None: all beads are printed at the commanded speed, within 2 %. Where fibre is cut" in words
     print_summary(dataclasses.replace(plan, dips=(stop,)), tmp_path)
-    assert "dip" not in capsys.readouterr().out.replace("dips │", "")
+    assert not re.search(r"dips? costs?", capsys.readouterr().out)
 
 
 def test_what_became_of_the_input_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -401,11 +404,11 @@ def test_too_much_material_is_a_colour_a_row_and_a_metric(tmp_path: Path, capsys
     assert all("too much material: 2.5 mm³" in words for words in scene["dips"]["words"])
     write_report(plan, tmp_path / "r.html")
     words = visible(tmp_path / "r.html")
-    assert f"Too much material, where speed dips , mm³ {over.sum():.2f}" in words
-    assert "off by at most , % 42.00" in words
+    assert f"{over.sum():.2f} mm³" in words
+    assert "42.00 %" in words
     print_summary(plan, tmp_path)
     out = " ".join(capsys.readouterr().out.split())
-    assert "material in a millimetre, off by │ 42.00" in out and f"in dips │ {over.sum():.2f}" in out
+    assert "flow per millimetre │ 42.00" in out and f"too much material in dips │ {over.sum():.2f}" in out
     assert all(channel["key"] != "surplus" for channel in plan_scene(make_plan(4_000), [])["lines"]["channels"])
 
 
@@ -422,8 +425,7 @@ def test_verdict_in_words(tmp_path: Path) -> None:
         "✗ Not verified: do not print this 1 of 7 check fails, so no robot code was written: joint jerk : 1.31 ratio"
         in bad
     )
-    assert "✗ fails joint_4 at t 7.2 s" in bad
-    assert "✗ over 131.0" in bad
+    assert "A joint jerk joint_1, joint_4 at t 7.2 s ✗ 131.0 % ≤ 100 ✗ fails ✗ 470.0" in bad
 
 
 @given(st.lists(st.booleans(), min_size=7, max_size=7))
@@ -444,11 +446,11 @@ def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytes
     write_report(plan, tmp_path / "r.html")
     words = visible(tmp_path / "r.html")
     for ratio in over:
-        assert f"that is, times that , × {ratio:.3f}" in words
+        assert f"{ratio:.3f} ×" in words
     print_summary(plan, tmp_path)
     out = " ".join(capsys.readouterr().out.split())
-    assert f"over length / commanded speed │ {over[0]:.3f}" in out
-    assert f"over the bound without jerk limits │ {over[1]:.3f}" in out
+    assert f"deposition over that without dips │ {over[0]:.3f}" in out
+    assert f"deposition over that without jerk limits │ {over[1]:.3f}" in out
     worst = max(plan.dips, key=lambda dip: dip.lost)
     assert f"{len(plan.dips)} dips cost" in out and f"the dearest: bead {worst.bead}, layer {worst.layer + 1}" in out
     assert "joint_4 jerk" in out and "process.speed_mm_s" not in out
@@ -458,18 +460,83 @@ def test_deposition_time_stands_beside_both_bounds(tmp_path: Path, capsys: pytes
     }
 
 
-def test_summary_sets_the_strategy_beside_its_baseline() -> None:
-    table = summary_table("ladder", {"at_speed_fraction": 0.9989, "jerk_ratio_max": 0.99},
-                          {"as_published": {"at_speed_fraction": 0.81, "jerk_ratio_max": 4.7}})  # fmt: skip
-    row = re.search(r"<tr><th scope=row>Length printed.*?</tr>", table)
-    assert row and re.findall(r">([\d.]+)<", row[0]) == ["99.89", "81.00"]
-    assert "<b>99.89</b>" in row[0] and "<b>81.00</b>" not in row[0]
-    assert "✗ over 470.0" in table and "sigma" not in table
+# ---- the list of what is judged ------------------------------------------------------------------------------------
 
 
-def test_the_strategy_is_not_repeated_as_its_own_baseline() -> None:
-    table = summary_table("ladder", {"print_time_s": 5.0}, {"ladder": {"print_time_s": 5.0}})
-    assert table.count("ladder") == 1
+def test_a_figure_has_one_row_and_one_name() -> None:
+    plan = with_dips(make_plan(8_000))
+    found = judged(plan)
+    names = [row.name for row in found.rows if not row.name.startswith("dip: ")]
+    assert len(names) == len(set(names))
+    assert len(found.headlines) <= len(HEADLINES) == 7
+    assert [row.name for row in found.headlines[:4]] == [
+        "length at commanded speed (±2 %)",
+        "slowest in deposition",
+        "print time",
+        "joint jerk",
+    ]
+    assert [row.name for row in found.tight[:DEAREST]] == ["dip: joint_4 jerk"] * DEAREST
+    margins = [row.share for row in found.tight[DEAREST:]]
+    assert margins == sorted(margins, reverse=True)
+    folded = [row for _, rows in found.rest for row in rows]
+    assert {"joint velocity", "deposition time", "filament"} & {row.name for row in folded}
+    assert all(row.place is None or not row.place.letter for row in folded)
+    letters = [place.letter for place in found.places if place.letter]
+    assert letters == [chr(ord("A") + k) for k in range(len(letters))] and len(letters) >= 6
+    assert [row.key for row in found.rows if row.place is not None] == list(range(len(found.places)))
+
+
+def test_a_solved_plans_figures_each_have_one_row() -> None:
+    """No two rows tell one value of one check or metric; checks and metrics of the plan are all there."""
+    plan = small_plan()
+    rows = list(judged(plan).rows)
+    names = [row.name for row in rows]
+    assert {check.name for check in plan.checks} <= set(names)
+    assert "least clearance" not in names and names.count("nozzle clear of part and print") == 1
+    labels = {metric.key: metric.label for metric in METRICS}
+    assert {label for key, label in labels.items() if key in plan.metrics} - set(names) == {"least clearance"}
+    by_name = {row.name: row for row in rows}
+    jerk = by_name["joint jerk"]
+    assert (
+        jerk.value == f"{100 * plan.metrics['jerk_ratio_max']:.1f}"
+        and jerk.where.split(", ")[0] in plan.cell.joint_names
+    )
+
+
+def test_every_metric_and_check_stands_in_one_group() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert len(grouped) == len(set(grouped))
+    assert set(grouped) == {metric.label for metric in METRICS} | set(CHECKS)
+    assert set(grouped) >= MARGINS | {name for names in HEADLINES for name in names}
+
+
+def test_what_fails_comes_first_and_is_no_headline() -> None:
+    found = judged(make_plan(4_000, ok=False))
+    (row,) = found.failed
+    assert row.name == "joint jerk" and row.place is not None and (row.place.letter, row.place.kind) == ("A", "fail")
+    assert row.name not in [each.name for each in (*found.headlines, *found.tight)]
+    assert found.places[0] == row.place and "joint acceleration" in [each.name for each in found.headlines]
+
+
+def test_the_other_strategy_stands_beside_and_the_better_one_is_marked() -> None:
+    rows = {row.name: row for row in judged(make_plan(4_000)).rows}
+    at_speed, jerk = rows["length at commanded speed (±2 %)"], rows["joint jerk"]
+    assert at_speed.better and at_speed.rivals == (("81.00", False, False),)
+    assert jerk.better and jerk.rivals == (("470.0", True, False),) and jerk.limit == "≤\u2009100"
+    assert jerk.share == pytest.approx(0.99) and rows["singularity margin"].better
+
+
+def test_the_strategy_is_not_repeated_as_its_own_baseline(tmp_path: Path) -> None:
+    plan = make_plan(4_000)
+    plan = dataclasses.replace(plan, baseline={"ladder": plan.metrics})
+    assert all(row.rivals == () for row in judged(plan).rows)
+
+
+def test_terminal_and_page_have_the_same_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = make_plan(4_000)
+    print_summary(plan, tmp_path)
+    lines = [line.split("│")[1].strip() for line in capsys.readouterr().out.splitlines() if line.startswith("│")]
+    assert len(lines) > 8 and set(lines) <= {row.name for row in judged(plan).rows}
 
 
 @pytest.mark.parametrize(
@@ -493,9 +560,8 @@ def test_worst_places_are_the_worst() -> None:
     speed = plan.trajectory.speed.copy()
     speed[np.flatnonzero(plan.trajectory.bead == 6)[30]] = 0.0021
     plan = dataclasses.replace(plan, trajectory=dataclasses.replace(plan.trajectory, speed=speed))
-    slowest = worst_places(plan)[0]
-    assert slowest.what == "Slowest" and slowest.value == "2.10 mm/s of 40 mm/s"
-    assert plan.trajectory.bead[slowest.sample] == 6
+    slowest = worst_samples(plan)["speed_min_mm_s"]
+    assert plan.trajectory.bead[slowest.sample] == 6 and speed[slowest.sample] == 0.0021
 
 
 def test_joints_are_told_for_the_whole_motion_as_the_metrics_are() -> None:
@@ -504,9 +570,9 @@ def test_joints_are_told_for_the_whole_motion_as_the_metrics_are() -> None:
     margin, jerk = plan.series["limit_margin_deg"].copy(), plan.series["jerk_ratio"].copy()
     margin[travel], jerk[travel] = 0.5, 1.5
     plan = dataclasses.replace(plan, series={**plan.series, "limit_margin_deg": margin, "jerk_ratio": jerk})
-    places = {place.what: place for place in worst_places(plan)}
-    for what, value in (("Nearest to an end stop", "0.5°"), ("Most of a joint's jerk", "150.0 % of the limit")):
-        assert places[what].sample == travel and places[what].value.startswith(value)
+    found = worst_samples(plan)
+    assert found["joint_limit_margin_deg"].sample == found["jerk_ratio_max"].sample == travel
+    assert found["jerk_ratio_max"].joint == "joint_1" and found["jerk_ratio_max"].help == places.IN_TRAVEL
 
 
 def test_how_to_make_it_again(tmp_path: Path) -> None:

@@ -82,12 +82,12 @@ def test_it_is_told_where_the_nozzle_may_lean_and_nowhere_else(
     for each, told in ((plan, True), (upright, False)):
         print_summary(replace(each, timing_s={"total": 1.0}), tmp_path)
         out = capsys.readouterr().out
-        assert ("nozzle leans from the normal" in out) is told
-        assert ("edges off its height" in out) is told
+        assert ("lean of the nozzle" in out) is told
+        assert ("edges off their height" in out) is told
         write_report(each, tmp_path / "report.html")
         page = (tmp_path / "report.html").read_text(encoding="utf-8")
-        assert ("Nozzle leans from the surface normal" in page) is told
-        assert ("Nozzle leans most" in page) is told
-        assert ("Lean of the nozzle" in page) is told
+        assert ("lean of the nozzle" in page) is told
+        assert ("edges off their height" in page) is told
+        assert ("Lean of the nozzle</h3>" in page) is told
         labels = {channel["label"] for channel in figures(tmp_path / "report.html")["scene"]["lines"]["channels"]}
         assert ("Nozzle off the surface normal" in labels) is told

@@ -262,7 +262,7 @@ def test_view_from_the_first_solve_to_a_mended_mistake(fake: Path) -> None:
         await page.until(shown("3-whole"))
         assert await page.do({"do": "beside", "strategy": "greedy"}) == 204
         state = await page.until(lambda state: len(state["panes"]) == 2 and state["panes"][1]["result"])
-        assert [row["label"] for row in state["differences"]] == ["Whole print, s"]
+        assert [row["label"] for row in state["differences"]] == ["print time, s"]
 
     visit(Subject(fake, "small"), scenario)
 

@@ -139,7 +139,7 @@ def test_panes_are_solved_one_after_the_other_and_compared() -> None:
     assert snapshot(view, "a", "a.yaml")["differences"] == []
     view, _ = after(view, Solved(2, BETTER, "10:02"))
     rows = {row["label"]: row for row in snapshot(view, "a", "a.yaml")["differences"]}
-    at_speed, time = rows["At commanded speed, %"], rows["Whole print, s"]
+    at_speed, time = rows["length at commanded speed (±2 %), %"], rows["print time, s"]
     assert (at_speed["left"], at_speed["right"], at_speed["better"]) == ("90.00", "95.00", "right")
     assert (time["difference"], time["better"]) == ("+1.0", "left")
     alone, effects = after(view, Beside(None), Beside("ladder"))

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 # What series of the verifier say, and in which unit; where these are small it gets tight.
 TIGHT = (
-    ("sigma", "Distance from singularity, σ", "", 3),
-    ("wrist_deg", "Wrist: joint 5 from straight", "°", 1),
-    ("limit_margin_deg", "Distance from the nearest end stop", "°", 1),
+    ("sigma", "Singularity margin, σ", "", 3),
+    ("wrist_deg", "Wrist margin, joint 5 from straight", "°", 1),
+    ("limit_margin_deg", "Joint range, to the nearest end stop", "°", 1),
     ("clearance_mm", "Least distance of two bodies beyond the tip", "mm", 1),
 )
 RATIOS = ("velocity_ratio", "acceleration_ratio", "jerk_ratio")

@@ -32,7 +32,7 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
         charts.append(
             _chart(
                 "sigma",
-                "Distance from singularity",
+                "Singularity margin",
                 "σ of the arm alone",
                 [_curve(plan, plan.series["sigma"], "σ", BLUE, "%{y:.4f}")],
                 note="Smallest singular value of the arm's Jacobian at the tip. 0 is a singularity: larger is better.",
@@ -42,8 +42,8 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
     margins = [
         _curve(plan, plan.series[name], label, colour, "%{y:.1f}°")
         for name, label, colour in (
-            ("wrist_deg", "joint 5 from straight", BLUE),
-            ("limit_margin_deg", "nearest end stop", ORANGE),
+            ("wrist_deg", "wrist margin", BLUE),
+            ("limit_margin_deg", "joint range", ORANGE),
         )
         if name in plan.series
     ]

@@ -71,7 +71,7 @@ def write_failure_report(
     if failed is not None:
         line = beads[failed]
         known.append(("bead", f"{failed} of {len(beads)} ({line.name}), layer {line.layer + 1}"))
-    if point_mm is not None:
+    if point_mm is not None and toolpath is None:  # else it stands among the places
         x, y, z = point_mm
         known.append(("place in the part frame", f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm"))
     scene, marks = None, []

@@ -1,8 +1,7 @@
-"""report.html of a plan: verdict, first screen, summary, scene, checks, curves over time, and how it came about."""
+"""report.html of a plan: verdict, scene, the list of what is judged, curves over time, and how it came about."""
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,79 +15,29 @@ from planner.report import page
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
 from planner.report.joints import shown_units
-from planner.report.places import approaches_section, dips_section, places_of, without_stops
+from planner.report.judged import Judged, judged
+from planner.report.places import dips_section, without_stops
 from planner.report.robustness import robustness_section
 from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.report.scene import plan_scene
 from planner.report.templates import render
 from planner.report.thinning import CURVE_BUDGET
-from planner.report.wording import MISSING, SHORT, counted, distance, duration, number, resumed_words, summary_rows
+from planner.report.wording import MISSING, counted, number, resumed_words
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
 # ----------------------------------------------------------------------------------------------------
-# The figures that decide, beside the baseline's, and the scene with its player.
+# The scene with its player.
 
-# metric, label, unit, factor, decimals, whether more is better
-DECIDING = (
-    ("at_speed_fraction", SHORT["at_speed_fraction"], "%", 100.0, 1, True),
-    ("speed_min_mm_s", SHORT["speed_min_mm_s"], "mm/s", 1.0, 1, True),
-    ("print_time_s", SHORT["print_time_s"], "", 1.0, 0, False),
-    ("joints", "Joint limits used", "%", 100.0, 0, False),  # the worst of JOINTS
-    ("sigma_min", SHORT["sigma_min"], "", 1.0, 3, True),
-    ("joint_limit_margin_deg", SHORT["joint_limit_margin_deg"], "°", 1.0, 1, True),
-    ("clearance_min_mm", SHORT["clearance_min_mm"], "mm", 1.0, 1, True),
-)
-JOINTS = ("velocity_ratio_max", "acceleration_ratio_max", "jerk_ratio_max")
 PACES = (1, 2, 5, 10, 20, 50)
 USUAL_PACE = 5
-
-
-def deciding_rows(plan: Plan, rival: str | None) -> list[tuple[str, str, list[tuple[str, bool, bool]]]]:
-    """The figures that decide: label, unit, and of this plan and its rival the text, whether too much, whether better."""
-    other = plan.baseline[rival] if rival else {}
-    rows = []
-    for key, label, unit, factor, digits, more in DECIDING:
-        mine, its = _metric(plan.metrics, key), _metric(other, key)
-        if mine is None and its is None:
-            continue
-        better = _better(mine, its, more, factor, digits), _better(its, mine, more, factor, digits)
-        pairs = zip((mine, its) if rival else (mine,), better, strict=False)
-        rows.append((label, unit, [(*_cell(value, key, factor, digits), best) for value, best in pairs]))
-    return rows
 
 
 def stage(*, name: str, moves: bool, layers: int, dips: bool, marks: bool) -> dict[str, Any]:
     """What stage.html shows: the scene with its controls; with its player and its colours where it moves."""
     shown = {"name": name, "moves": moves, "layers": layers, "dips": dips, "marks": marks}
     return shown | {"paces": PACES, "usual_pace": USUAL_PACE}
-
-
-def _metric(metrics: Mapping[str, float], key: str) -> float | None:
-    """A metric, or the worst share of the joints' limits; None where it is not known."""
-    if key == "joints":
-        found = [metrics[each] for each in JOINTS if each in metrics]
-        return max(found) if found else None
-    value = metrics.get(key)
-    return None if value is None or math.isnan(value) else value
-
-
-def _better(value: float | None, other: float | None, more: bool, factor: float, digits: int) -> bool:
-    """Whether a value is better than the other one, as both are shown."""
-    if value is None or other is None:
-        return False
-    mine, its = round(value * factor, digits), round(other * factor, digits)
-    return mine > its if more else mine < its
-
-
-def _cell(value: float | None, key: str, factor: float, digits: int) -> tuple[str, bool]:
-    """Text of a figure, and whether it is more than the limits allow."""
-    if value is None:
-        return MISSING, False
-    if key == "print_time_s":
-        return duration(value), False
-    return distance(key, value * factor, digits), key == "joints" and value > 1.0 + 1e-9
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -112,16 +61,16 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
     `plan.settings["overrides"]`, if there, holds the `dotted.key=value` arguments of the command line.
     Raises OutputError where `path` cannot be written.
     """
-    places = places_of(plan)
+    listed = judged(plan)
+    places = listed.places
     scene = plan_scene(plan, places)
     curves, joints = time_charts(plan), joint_charts(plan)
     charts = [
         {"time": True} | {k: chart[k] for k in ("key", "traces", "layout", "ranges") if k in chart}
         for chart in curves + joints
     ]
-    t, listed = plan.trajectory, [place for place in places if place.letter]
+    t = plan.trajectory
     others = [name for name in plan.baseline if name != plan.strategy]
-    rival = others[0] if others else None
     ratios = _joint_ratios(plan)
     text = page.page(
         "plan",
@@ -132,25 +81,21 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
             moves=bool(t.deposit.any()),
             layers=plan.layers,
             dips=bool(plan.dips),
-            marks=bool(listed),
+            marks=any(place.letter for place in places),
         ),
         header=_header(plan),
         plan=plan,
         t=t,
         scene=scene,
         budget=CURVE_BUDGET,
-        rival=rival,
-        deciding=deciding_rows(plan, rival),
-        places=[(place, float(t.t[place.sample])) for place in listed],
+        listed=listed,
+        rest_told=_rest_told(listed),
         others=others,
-        summary=summary_table(plan.strategy, plan.metrics, plan.baseline),
         forecast=FORECAST,
-        failed=sum(not check.ok for check in plan.checks),
         dips_told=_dips_told(plan),
-        dips_section=dips_section(plan),
+        dips_section=dips_section(plan, listed.dips_places),
         materials=materials_section(plan),
         events=events_section(plan),
-        approaches=approaches_section(plan, places),
         robustness=robustness_section(plan),
         curves=curves,
         roll_map=roll_map_section(plan),
@@ -165,10 +110,11 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
     page.write_text(Path(path), text.replace(FORECAST, section, 1))
 
 
-def summary_table(strategy: str, metrics: Mapping[str, float], baseline: Mapping[str, Mapping[str, float]]) -> Markup:
-    """HTML table: the chosen strategy's metrics beside the baselines'; the best of a row is bold."""
-    others = {name: values for name, values in baseline.items() if name != strategy}
-    return render("summary", strategy=strategy, others=list(others), rows=summary_rows([metrics, *others.values()]))
+def _rest_told(listed: Judged) -> str:
+    """How many rows are folded, and how many of them are checks."""
+    rows = [row for _, rows in listed.rest for row in rows]
+    holding = sum(row.ok is True for row in rows)
+    return f"{counted(len(rows), 'row')}, of which {counted(holding, 'check')}; {'it holds' if holding == 1 else 'all hold'}"
 
 
 def _dips_told(plan: Plan) -> str:

@@ -11,7 +11,7 @@ from planner.base.errors import InputError
 from planner.plan.plan import Plan, plan_line
 from planner.report import page
 from planner.report.html import stage
-from planner.report.places import places_of
+from planner.report.judged import judged
 from planner.report.scene import plan_scene
 
 HEIGHTS = (200, 4000)  # px
@@ -48,7 +48,7 @@ def show(plan: Plan, height: int = 640) -> InlineScene:
     as_one_of(plan, Plan, "plan", "what solve gives")
     if type(height) is not int or not HEIGHTS[0] <= height <= HEIGHTS[1]:
         raise InputError(f"{height!r} is no height", field="height", hint=f"{HEIGHTS[0]} to {HEIGHTS[1]} pixels")
-    places = places_of(plan)
+    places = judged(plan).places
     text = page.page(
         "inline",
         plan.name,

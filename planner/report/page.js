@@ -36,7 +36,7 @@ function drawScene(scene, told) {
   letters = makeLetters(stage, places, (k) => go(k));
   document.querySelectorAll("[data-place]").forEach((b) => b.addEventListener("click", () => {
     go(Number(b.dataset.place));
-    if (b.closest("td") && matchMedia("(max-width: 900px)").matches) by("view").scrollIntoView({ behavior: calm() ? "auto" : "smooth", block: "center" });
+    if (b.closest("td, th") && matchMedia("(max-width: 900px)").matches) by("view").scrollIntoView({ behavior: calm() ? "auto" : "smooth", block: "center" });
   }));
   by("card-close").addEventListener("click", () => { by("card-box").hidden = true; mark(-1); stage.paintPair([]); stage.draw(); });
   document.querySelectorAll("[data-view]").forEach((b) => b.addEventListener("click", () => stage.fly(...viewOf(stage, scene, b.dataset.view))));
@@ -102,7 +102,29 @@ function drawScene(scene, told) {
   return { stage, motion, player, dips, lines: scene.lines, go, opens, seek: (t) => { player.play(false); player.seek(t); } };
 }
 
+// Rows of the list that hold a word; headings of groups without any go with them.
+function filterRows() {
+  const find = by("find");
+  if (!find) return;
+  find.addEventListener("input", () => {
+    const word = find.value.trim().toLowerCase(), groups = find.closest("details").querySelectorAll(".judged tbody");
+    let count = 0;
+    for (const group of groups) {
+      let any = false;
+      for (const row of group.querySelectorAll("tr:not(.group)")) {
+        row.hidden = !row.textContent.toLowerCase().includes(word);
+        if (!row.hidden) { any = true; count++; }
+      }
+      group.hidden = !any;
+    }
+    by("found").textContent = word ? count + (count === 1 ? " row" : " rows") : "";
+  });
+}
+
 async function start() {
+  // On a phone what is folded begins so: the scene is not beside it.
+  if (matchMedia("(max-width: 560px)").matches) document.querySelectorAll(".fold[open]").forEach((each) => { each.open = false; });
+  filterRows();
   const root = document.documentElement;
   if (!window.DecompressionStream) {
     by("too-old").hidden = false;

@@ -1,10 +1,10 @@
-"""Places to go to in the scene: failed checks, the worst of the plan, near bodies, and dips with what would avoid them."""
+"""Places to go to in the scene: the worst of the plan, near bodies, and dips with what would avoid them."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,22 +12,9 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from planner.report.templates import render
-from planner.report.wording import CHECK_NAMES, significant
 
 if TYPE_CHECKING:
-    from planner.plan import Approach, Check, Dip, Plan, Remedy, Trajectory
-
-# ----------------------------------------------------------------------------------------------------
-# Approaches: where bodies come nearest to each other.
-
-
-def approaches_section(plan: Plan, places: Sequence[ReportPlace]) -> Markup:
-    """Table of the pairs that come nearest; nothing where no bodies come near. `places` hold them, in the same order."""
-    if not plan.approaches:
-        return Markup("")
-    numbers = [k for k, place in enumerate(places) if place.kind == "near"]
-    return render("approaches", near=list(zip(plan.approaches, numbers, strict=True)), t=plan.trajectory)
-
+    from planner.plan import Approach, Dip, Plan, Remedy, Trajectory
 
 # ----------------------------------------------------------------------------------------------------
 # Dips: marks on the part, a table of those that cost most, and what would avoid them.
@@ -72,8 +59,11 @@ def dip_marks(plan: Plan) -> dict[str, Any] | None:
     }
 
 
-def dips_section(plan: Plan) -> Markup:
-    """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each."""
+def dips_section(plan: Plan, numbers: Sequence[int]) -> Markup:
+    """HTML of the dips: how many, what they cost, by cause, and the worst of them with what would avoid each.
+
+    numbers: of their places on the page, those of the dearest first
+    """
     dips, commanded = without_stops(plan.dips), plan.commanded
     by_cause: dict[str, list[Dip]] = defaultdict(list)
     for dip in dips:
@@ -84,7 +74,7 @@ def dips_section(plan: Plan) -> Markup:
         advice=plan.advice,
         rests=[dip for dip in plan.dips if dip.limit == "stop"],
         causes=sorted(by_cause.items(), key=lambda item: -sum(dip.lost for dip in item[1])),
-        shown=worst_first(dips)[:MOST_ROWS],
+        shown=list(zip(worst_first(dips), numbers, strict=False)),
         all_marked=len(plan.dips) <= MOST_MARKS,
         most_marks=MOST_MARKS,
         flows=any(dip.over_extruded for dip in dips),
@@ -116,10 +106,9 @@ def _lines(dip: Dip, commanded: float) -> list[str]:
 
 
 # ----------------------------------------------------------------------------------------------------
-# The list of places: failed checks, the worst of the plan, and where bodies come near.
+# Places: where the plan is worst, where bodies come near, and what would help there.
 
 AT_SPEED = 0.98
-NEAREST = 3  # approaches in the list; the table has all
 SAME_DIP = 1e-6  # s: a dip's slowest sample and the slowest of all are one
 PLACEMENT = "another place or turn of the part (python -m planner.place searches for it)"
 SINGULAR = f"A nozzle at an angle to the flange (cell.nozzle.axis), or {PLACEMENT}, keeps away from it."
@@ -128,14 +117,16 @@ BUSY = "A wider process.corner_tolerance_mm asks less of it in corners, a lower 
 IN_TRAVEL = "It travels there, as quickly as its limits allow: nothing is printed."
 LEANS = "process.cones.nozzle_normal_deg bounds the lean; 0 holds the nozzle upright on the surface."
 NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say what has to be kept."
+ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}  # derivative by time
 
 
 @dataclass(frozen=True)
 class ReportPlace:
     """A place to go to: what is there, its value in words, the sample, and what would help.
 
-    kind  "fail", "worst" or "near"
-    pair  the two bodies that come near each other there, if it is about such
+    letter  empty for a place that is folded
+    kind    "fail", "worst", "slow" or "near"
+    pair    the two bodies that come near each other there, if it is about such
     """
 
     letter: str
@@ -147,67 +138,60 @@ class ReportPlace:
     pair: tuple[str, ...] = ()
 
 
-def places_of(plan: Plan) -> list[ReportPlace]:
-    """All places, those of failed checks first; those of the list have letters, in this order, the others none."""
-    near = [_near(each) for each in plan.approaches]
-    listed = [*_failed(plan), *worst_places(plan), *near[:NEAREST]]
-    return [replace(place, letter=_letter(k)) for k, place in enumerate(listed)] + near[NEAREST:]
+@dataclass(frozen=True)
+class Worst:
+    """Where a metric has its value: the sample, the joint that it is about, if any, and what would help."""
+
+    sample: int
+    joint: str = ""
+    help: str = ""
 
 
-def worst_places(plan: Plan) -> list[ReportPlace]:
-    """The worst places, with the values that the metrics tell.
+def worst_samples(plan: Plan) -> dict[str, Worst]:
+    """Where metrics have their values, by the metric's key; those that have no place are missing.
 
     While depositing: slowest, nearest to a singularity, leaning most. In the whole motion: nearest to an end stop, hardest
     on the joints.
     """
     traj, series = plan.trajectory, plan.series
-    printing, anywhere = np.flatnonzero(traj.deposit), np.arange(len(traj))
+    printing = np.flatnonzero(traj.deposit)
     if not len(printing):
-        return []
-    found: list[tuple[str, str, int, str]] = []
-    commanded = plan.commanded[traj.bead[printing]] * 1e3
-    speed = traj.speed[printing] * 1e3
-    k = int((speed / commanded).argmin())
-    if speed[k] < AT_SPEED * commanded[k]:
-        i = int(printing[k])
-        found.append(("Slowest", f"{speed[k]:.2f} mm/s of {commanded[k]:g} mm/s", i, _of_dip(plan, i)))
-    for name, what, words, advice, among in (
-        ("sigma", "Nearest to a singularity", "σ {:.4f}", SINGULAR, printing),
-        ("wrist_deg", "Wrist nearest to straight", "{:.1f}°", SINGULAR, printing),
-        ("limit_margin_deg", "Nearest to an end stop", "{:.1f}°", STOPS, anywhere),
-    ):
-        if name in series and np.isfinite(series[name][among]).any():
-            i = int(among[np.nanargmin(series[name][among])])
-            value = words.format(series[name][i])
-            found.append((what, value + (_stop(plan, i) if name == "limit_margin_deg" else ""), i, advice))
-    for name, what in (
-        ("velocity_ratio", "Most of a joint's speed"),
-        ("acceleration_ratio", "Most of a joint's acceleration"),
-        ("jerk_ratio", "Most of a joint's jerk"),
-    ):
-        if name in series and np.isfinite(series[name]).any():
-            values = np.abs(series[name])
-            each = values if values.ndim == 1 else np.where(np.isnan(values), -np.inf, values).max(axis=1)
-            i = int(np.nanargmax(each))
-            joint = "" if values.ndim == 1 else f" ({plan.cell.joint_names[int(np.nanargmax(values[i]))]})"
-            found.append(
-                (what, f"{100 * each[i]:.1f} % of the limit{joint}", i, BUSY if traj.bead[i] >= 0 else IN_TRAVEL)
-            )
+        return {}
+    found: dict[str, Worst] = {}
+    i = int(printing[traj.speed[printing].argmin()])
+    if traj.speed[i] < AT_SPEED * plan.commanded[traj.bead[i]]:
+        found["speed_min_mm_s"] = Worst(i, help=_of_dip(plan, i))
+    for key, name, help_ in (("sigma_min", "sigma", SINGULAR), ("wrist_margin_deg", "wrist_deg", SINGULAR)):
+        if name in series and np.isfinite(series[name][printing]).any():
+            found[key] = Worst(int(printing[np.nanargmin(series[name][printing])]), help=help_)
+    if "limit_margin_deg" in series and np.isfinite(series["limit_margin_deg"]).any():
+        i = int(np.nanargmin(series["limit_margin_deg"]))
+        found["joint_limit_margin_deg"] = Worst(i, _at_its_end(plan, i), STOPS)
+    for name in ORDERS:
+        values = series.get(f"{name}_ratio")
+        if values is not None and np.isfinite(values).any():
+            each = np.abs(values).reshape(len(traj), -1)
+            i = int(np.nanargmax(np.where(np.isnan(each), -np.inf, each).max(axis=1)))
+            joint = int(np.nanargmax(each[i])) if values.ndim > 1 else _busiest(plan, name, i)
+            found[f"{name}_ratio_max"] = Worst(i, plan.cell.joint_names[joint], _busy(plan, i))
     if "tilt_deg" in series:
-        i = int(printing[series["tilt_deg"][printing].argmax()])
-        found.append(("Nozzle leans most", f"{series['tilt_deg'][i]:.2f}° from the normal", i, LEANS))
-    return [
-        ReportPlace(_letter(k), "worst", what, value, i, advice) for k, (what, value, i, advice) in enumerate(found)
-    ]
+        found["tilt_max_deg"] = Worst(int(printing[series["tilt_deg"][printing].argmax()]), help=LEANS)
+    return found
+
+
+def where_shortly(plan: Plan, sample: int) -> str:
+    """A sample's whereabouts: bead, layer and how far along."""
+    traj = plan.trajectory
+    if traj.bead[sample] < 0:
+        return f"in travel, {traj.t[sample]:.2f} s"
+    return f"bead {traj.bead[sample]}, layer {traj.layer[sample] + 1}, {traj.s[sample] * 1e3:.1f} mm"
 
 
 def where_words(plan: Plan, sample: int) -> str:
-    """A sample's whereabouts in words: bead, layer, how far along, and the point in the part frame."""
-    traj = plan.trajectory
-    x, y, z = traj.tip[sample] * 1e3
-    line = f"bead {traj.bead[sample]}, layer {traj.layer[sample] + 1}, {traj.s[sample] * 1e3:.1f} mm along it"
-    line = line if traj.bead[sample] >= 0 else "in travel"
-    return f"{line}; x {x:.1f}, y {y:.1f}, z {z:.1f} mm".replace("-", "−")
+    """A sample's whereabouts, and the point in the part frame."""
+    x, y, z = plan.trajectory.tip[sample] * 1e3
+    along = " along it" if plan.trajectory.bead[sample] >= 0 else ""
+    return f"{where_shortly(plan, sample)}{along}; x {x:.1f}, y {y:.1f}, z {z:.1f} mm".replace("-", "−")
 
 
 def places_data(plan: Plan, places: Sequence[ReportPlace]) -> list[dict[str, Any]]:
@@ -235,30 +219,39 @@ def drawn(name: str) -> str:
     return "print" if name.startswith("bead ") else name
 
 
-def _failed(plan: Plan) -> list[ReportPlace]:
-    """The places of checks that fail, where they have one."""
-    return [
-        ReportPlace("", "fail", check.name.translate(CHECK_NAMES), _value(check), check.sample, _advice(check))
-        for check in plan.checks
-        if not check.ok and check.sample >= 0
-    ]
-
-
-def _value(check: Check) -> str:
-    return f"{significant(check.worst)} {check.unit}, limit {significant(check.limit)}".replace(" ,", ",")
-
-
-def _advice(check: Check) -> str:
-    """What would help against a failed check, by what it is about."""
+def check_advice(name: str, plan: Plan, sample: int) -> str:
+    """What would help where a check is worst, by what it is about."""
     for word, advice in (("clear", NEAR), ("singular", SINGULAR), ("branch", SINGULAR), ("range", STOPS)):
-        if word in check.name:
+        if word in name:
             return advice
-    return BUSY if "joint" in check.name else ""
+    return _busy(plan, sample) if "joint" in name else ""
 
 
-def _near(each: Approach) -> ReportPlace:
+def near_place(each: Approach) -> ReportPlace:
+    """The place where two bodies come nearest to each other."""
     value = f"{each.distance * 1e3:.1f} mm apart, {each.need * 1e3:g} mm to be kept"
     return ReportPlace("", "near", f"{each.a} – {each.b}", value, each.sample, NEAR, (each.a, each.b))
+
+
+def dip_place(plan: Plan, dip: Dip) -> ReportPlace:
+    """The place where speed is least in a dip."""
+    commanded = float(plan.commanded[dip.bead])
+    value = f"{dip.speed * 1e3:.1f} of {commanded * 1e3:g} mm/s"
+    (sample,) = samples_of(plan.trajectory, [dip]).tolist()
+    return ReportPlace(
+        "", "slow", f"dip: {dip.cause}", f"{value}, {dip.lost:.3f} s lost", sample, _remedies(dip, commanded)
+    )
+
+
+def letter(k: int) -> str:
+    """The letter of the k-th place."""
+    return chr(ord("A") + k % 26)
+
+
+def _remedies(dip: Dip, commanded: float) -> str:
+    """What would avoid a dip; empty where nothing is known."""
+    remedies = "; or ".join(remedy.words for remedy in followable(dip, commanded))
+    return f"Would avoid it: {remedies}." if remedies else ""
 
 
 def _of_dip(plan: Plan, sample: int) -> str:
@@ -267,16 +260,24 @@ def _of_dip(plan: Plan, sample: int) -> str:
     dip = next((dip for dip in plan.dips if abs(dip.t - t) < SAME_DIP), None)
     if dip is None:
         return BUSY
-    remedies = "; or ".join(remedy.words for remedy in followable(dip, float(plan.commanded[dip.bead])))
-    return f"Because of: {dip.cause}." + (f" Would avoid it: {remedies}." if remedies else "")
+    return f"Because of: {dip.cause}. {_remedies(dip, float(plan.commanded[dip.bead]))}".strip()
 
 
-def _letter(k: int) -> str:
-    return chr(ord("A") + k % 26)
+def _busy(plan: Plan, sample: int) -> str:
+    return BUSY if plan.trajectory.bead[sample] >= 0 else IN_TRAVEL
 
 
-def _stop(plan: Plan, sample: int) -> str:
+def _busiest(plan: Plan, name: str, sample: int) -> int:
+    """Index of the joint that uses most of its limit about a sample."""
+    order, traj = ORDERS[name], plan.trajectory
+    first = max(min(sample - 2, len(traj) - 5), 0)
+    about = traj.q[first : first + 5]
+    rates = np.abs(np.diff(about, order, axis=0)) / traj.dt**order / getattr(plan.cell.limits, name)
+    return int(rates.max(axis=0).argmax())
+
+
+def _at_its_end(plan: Plan, sample: int) -> str:
     """Name of the joint that is nearest to its end stop."""
     limits, q = plan.cell.limits, plan.trajectory.q[sample]
     margin = np.minimum(q - limits.q_min, limits.q_max - q)
-    return f" ({plan.cell.joint_names[int(margin.argmin())]})"
+    return str(plan.cell.joint_names[int(margin.argmin())])

@@ -32,9 +32,9 @@ def robustness_words(plan: Plan) -> list[str]:
     lines = [f"tolerance {room.tolerance.words}: {_verdict(room)}"]
     lines += [f"  to first order {_bound(bound)}" for bound in (room.bounds[0], room.bounds[-1])]
     for name, label, unit, factor, decimals in (
-        ("joint_limit_margin_deg", "joint limit margin", " deg", 1.0, 1),
-        ("sigma_min", "singularity margin σ", "", 1.0, 3),
-        ("at_speed_fraction", "at commanded speed", " %", 100.0, 1),
+        ("joint_limit_margin_deg", "joint range", "°", 1.0, 1),
+        ("sigma_min", "singularity margin", "", 1.0, 3),
+        ("at_speed_fraction", "length at commanded speed (±2 %)", " %", 100.0, 1),
         ("print_time_s", "print time", " s", 1.0, 1),
     ):
         if name in room.worst_metrics:

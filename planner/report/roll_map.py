@@ -23,8 +23,8 @@ STEPS = 249  # of a measure from 0 to its greatest; numbers from CODE on stand f
 CODE = 250
 # key, label, unit, factor, decimals
 MEASURES = (
-    ("sigma", "distance from singularity, σ", "", 1.0, 3),
-    ("limit", "nearest end stop", "°", 180.0 / np.pi, 1),
+    ("sigma", "singularity margin, σ", "", 1.0, 3),
+    ("limit", "joint range", "°", 180.0 / np.pi, 1),
 )
 HEIGHT = 300  # px
 LATTICE = (28, 10)  # letters along the path and round the circle, at most

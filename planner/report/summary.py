@@ -13,36 +13,47 @@ from rich.table import Table
 from planner.report.extruder import events_words, materials_words
 from planner.report.places import place_words, without_stops, worst_first
 from planner.report.robustness import robustness_words
-from planner.report.wording import OVER_BOUND, OVER_IDEAL, counted, resumed_words, with_ratios
+from planner.report.wording import (
+    METRICS,
+    OVER_BOUND,
+    OVER_IDEAL,
+    MetricLabel,
+    counted,
+    distance,
+    resumed_words,
+    with_ratios,
+)
 
 if TYPE_CHECKING:
     from planner.plan import Plan
 
 MOST_ADVISED = 3  # changes in the summary; the report has all
-# metric, label, unit, factor, decimals
-ROWS = (
-    ("at_speed_fraction", "at commanded speed (±2 %)", "% of length", 100.0, 1),
-    ("deposition_time_s", "deposition time", "s", 1.0, 1),
-    (OVER_IDEAL, "  over length / commanded speed", "×", 1.0, 3),
-    (OVER_BOUND, "  over the bound without jerk limits", "×", 1.0, 3),
-    ("print_time_s", "print time", "s", 1.0, 1),
-    ("speed_min_mm_s", "lowest speed", "mm/s", 1.0, 1),
-    ("sigma_min", "singularity margin σ", "", 1.0, 3),
-    ("wrist_margin_deg", "wrist margin", "deg", 1.0, 1),
-    ("joint_limit_margin_deg", "joint limit margin", "deg", 1.0, 1),
-    ("velocity_ratio_max", "joint velocity / limit", "", 1.0, 3),
-    ("acceleration_ratio_max", "joint acceleration / limit", "", 1.0, 3),
-    ("jerk_ratio_max", "joint jerk / limit", "", 1.0, 3),
-    ("position_error_max_mm", "tip off the path", "mm", 1.0, 4),
-    ("axis_error_max_deg", "axis off the normal", "deg", 1.0, 4),
-    ("tilt_max_deg", "nozzle leans from the normal, at most", "deg", 1.0, 2),
-    ("tilt_bead_error_max_mm", "  a bead's edges off its height by that", "mm", 1.0, 4),
-    ("path_deviation_max_mm", "rounded corners off the drawing", "mm", 1.0, 3),
-    ("clearance_min_mm", "least clearance beyond the tip", "mm", 1.0, 1),
-    ("flow_error_max", "material in a millimetre, off by", "%", 100.0, 2),
-    ("over_extruded_mm3", "too much material, in dips", "mm³", 1.0, 2),
-    ("extruded_mm", "filament", "mm", 1.0, 0),
+SHOWN = (
+    "at_speed_fraction",
+    "speed_min_mm_s",
+    "deposition_time_s",
+    OVER_IDEAL,
+    OVER_BOUND,
+    "print_time_s",
+    "sigma_min",
+    "wrist_margin_deg",
+    "joint_limit_margin_deg",
+    "velocity_ratio_max",
+    "acceleration_ratio_max",
+    "jerk_ratio_max",
+    "position_error_max_mm",
+    "axis_error_max_deg",
+    "tilt_max_deg",
+    "tilt_bead_error_max_mm",
+    "path_deviation_max_mm",
+    "nozzle_clearance_min_mm",
+    "arm_clearance_min_mm",
+    "robot_clearance_min_mm",
+    "flow_error_max",
+    "over_extruded_mm3",
+    "extruded_mm",
 )
+ROWS = tuple(metric for key in SHOWN for metric in METRICS if metric.key == key)
 
 
 def print_summary(
@@ -60,11 +71,9 @@ def print_summary(
         table.add_column(name, justify="right", style="dim")
     table.add_column("unit")
     columns = [with_ratios(values) for values in (m, *plan.baseline.values())]
-    for metric, label, unit, factor, decimals in ROWS:
-        if all(metric not in values for values in columns):
-            continue
-        cells = [_number(values.get(metric, math.nan) * factor, decimals) for values in columns]
-        table.add_row(label, *cells, unit)
+    for row in ROWS:
+        if any(row.key in values for values in columns):
+            table.add_row(row.label, *(_number(values.get(row.key, math.nan), row) for values in columns), row.unit)
     out.print(table)
     notes = [f"note: {note}" for note in plan.toolpath.notes]
     if plan.resolved_by not in ("", plan.strategy):
@@ -117,5 +126,5 @@ def _advice(plan: Plan) -> str:
     return f"what would help most, {plan.advice[0].tried_on}: {changes}"
 
 
-def _number(value: float, decimals: int) -> str:
-    return "no plan" if math.isnan(value) else f"{value:.{decimals}f}"
+def _number(value: float, row: MetricLabel) -> str:
+    return "no plan" if math.isnan(value) else distance(row.key, value * row.scale, row.digits)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ FARTHEST = 50.0  # mm: the verifier looks no farther for what comes near, so tha
 
 @dataclass(frozen=True)
 class MetricLabel:
-    """A row of the summary: `scale` turns the metric's value into `unit`; `better` is up, down or empty."""
+    """A metric as it is shown: `scale` turns its value into `unit`; `better` is up, down or empty."""
 
     key: str
     label: str
@@ -28,59 +28,131 @@ class MetricLabel:
 
 
 OVER_IDEAL, OVER_BOUND = "deposition_over_ideal", "deposition_over_bound"  # ratios made here, of metrics
+# One name for a figure wherever it is shown; where a check judges it, the name of that check.
 METRICS = (
-    MetricLabel("at_speed_fraction", "Length printed at the commanded speed (±2 %)", "%", 2, 100, "up"),
-    MetricLabel("speed_min_mm_s", "Slowest tip speed while depositing", "mm/s", 2, better="up"),
-    MetricLabel("speed_max_mm_s", "Fastest tip speed while depositing", "mm/s", 2),
-    MetricLabel("deposition_time_s", "Time spent depositing", "s", 1, better="down"),
-    MetricLabel("ideal_deposition_time_s", "Time if the speed never dipped", "s", 1),
-    MetricLabel(OVER_IDEAL, "  that is, times that", "×", 3, better="down"),
-    MetricLabel("bound_deposition_time_s", "Time that joint speed and acceleration alone would allow", "s", 1),
-    MetricLabel(OVER_BOUND, "  that is, times that", "×", 3, better="down"),
-    MetricLabel("bound_any_path_s", "Time that any joint path takes at least", "s", 1),
-    MetricLabel("bound_gap_fraction", "  longer than that by at most", "%", 2, 100, "down"),
-    MetricLabel("print_time_s", "Whole print, travel included", "s", 1, better="down"),
-    MetricLabel("sigma_min", "Distance from singularity: least singular value σ", "", 4, better="up"),
-    MetricLabel("wrist_margin_deg", "Wrist: least angle of joint 5 from straight", "°", 1, better="up"),
-    MetricLabel("joint_limit_margin_deg", "Least distance from a joint's end stop", "°", 1, better="up"),
-    MetricLabel("rail_margin_mm", "Least distance of what slides from its end", "mm", 1, better="up"),
-    MetricLabel("velocity_ratio_max", "Joint speed, worst share of its limit", "%", 1, 100, "down", 100),
-    MetricLabel("acceleration_ratio_max", "Joint acceleration, worst share of its limit", "%", 1, 100, "down", 100),
-    MetricLabel("jerk_ratio_max", "Joint jerk, worst share of its limit", "%", 1, 100, "down", 100),
-    MetricLabel("position_error_max_mm", "Tip off the planned line, worst", "mm", 4, better="down"),
-    MetricLabel("axis_error_max_deg", "Nozzle axis off the surface normal, worst", "°", 4, better="down"),
-    MetricLabel("file_normal_max_deg", "Nozzle axis off the file’s own normals, worst", "°", 3, better="down"),
-    MetricLabel("tilt_max_deg", "Nozzle leans from the surface normal, at most", "°", 2, better="down"),
-    MetricLabel("tilt_bead_error_max_mm", "  that leaves a bead's edges off its height by", "mm", 4, better="down"),
-    MetricLabel("path_deviation_max_mm", "Rounded corners: off the drawn path, worst", "mm", 3, better="down"),
-    MetricLabel("clearance_min_mm", "Least distance of anything from anything, beyond the tip", "mm", 1, better="up"),
-    MetricLabel("nozzle_clearance_min_mm", "  of nozzle and print head from part and print", "mm", 1, better="up"),
-    MetricLabel("arm_clearance_min_mm", "  of the robots’ links from part and print", "mm", 1, better="up"),
-    MetricLabel("robot_clearance_min_mm", "  of robots and fixtures from each other", "mm", 1, better="up"),
-    MetricLabel("nozzle_pressed_max_mm", "Nozzle presses into beads printed before, at most", "mm", 3, better="down"),
-    MetricLabel("tip_clearance_min_mm", "Nozzle tip above the bare part, least", "mm", 1, better="up"),
-    MetricLabel("branch_changes_in_deposition", "Changes of the arm's branch while depositing", "", 0, better="down"),
-    MetricLabel("deposited_length_mm", "Length deposited", "m", 2, 1e-3),
-    MetricLabel("flow_error_max", "Material in a millimetre of a bead: off by at most", "%", 2, 100, "down"),
-    MetricLabel("over_extruded_mm3", "Too much material, where speed dips", "mm³", 2, better="down"),
-    MetricLabel("lag_zone_mm", "Length not judged by that, where pressure rises or falls", "mm", 0),
-    MetricLabel("extruded_mm", "Filament used", "m", 2, 1e-3),
-    MetricLabel("extruded_volume_mm3", "Material deposited", "cm³", 2, 1e-3),
+    MetricLabel("at_speed_fraction", "length at commanded speed (±2 %)", "%", 2, 100, "up"),
+    MetricLabel("speed_min_mm_s", "slowest in deposition", "mm/s", 2, better="up"),
+    MetricLabel("speed_max_mm_s", "speed in deposition", "mm/s", 2),
+    MetricLabel("print_time_s", "print time", "s", 1, better="down"),
+    MetricLabel("deposition_time_s", "deposition time", "s", 1, better="down"),
+    MetricLabel("ideal_deposition_time_s", "deposition time without dips", "s", 1),
+    MetricLabel(OVER_IDEAL, "deposition over that without dips", "×", 3, better="down"),
+    MetricLabel("bound_deposition_time_s", "deposition time without jerk limits", "s", 1),
+    MetricLabel(OVER_BOUND, "deposition over that without jerk limits", "×", 3, better="down"),
+    MetricLabel("bound_any_path_s", "deposition time of any joint path, at least", "s", 1),
+    MetricLabel("bound_gap_fraction", "deposition longer than any joint path's, at most", "%", 2, 100, "down"),
+    MetricLabel("sigma_min", "singularity margin", "", 4, better="up"),
+    MetricLabel("wrist_margin_deg", "wrist margin", "°", 1, better="up"),
+    MetricLabel("joint_limit_margin_deg", "joint range", "°", 1, better="up"),
+    MetricLabel("rail_margin_mm", "rail range", "mm", 1, better="up"),
+    MetricLabel("velocity_ratio_max", "joint velocity", "%", 1, 100, "down", 100),
+    MetricLabel("acceleration_ratio_max", "joint acceleration", "%", 1, 100, "down", 100),
+    MetricLabel("jerk_ratio_max", "joint jerk", "%", 1, 100, "down", 100),
+    MetricLabel("position_error_max_mm", "tip on the path", "mm", 4, better="down"),
+    MetricLabel("axis_error_max_deg", "axis on the normal", "°", 4, better="down"),
+    MetricLabel("file_normal_max_deg", "axis near the file's normals", "°", 3, better="down"),
+    MetricLabel("tilt_max_deg", "lean of the nozzle", "°", 2, better="down"),
+    MetricLabel("tilt_bead_error_max_mm", "bead's edges off their height by the lean", "mm", 4, better="down"),
+    MetricLabel("path_deviation_max_mm", "path within corner tolerance", "mm", 3, better="down"),
+    MetricLabel("clearance_min_mm", "least clearance", "mm", 1, better="up"),
+    MetricLabel("nozzle_clearance_min_mm", "nozzle clear of part and print", "mm", 1, better="up"),
+    MetricLabel("arm_clearance_min_mm", "arm clear of part and print", "mm", 1, better="up"),
+    MetricLabel("robot_clearance_min_mm", "robots clear of each other and of fixtures", "mm", 1, better="up"),
+    MetricLabel("nozzle_pressed_max_mm", "print pressed by the nozzle", "mm", 3, better="down"),
+    MetricLabel("tip_clearance_min_mm", "nozzle tip outside the part", "mm", 1, better="up"),
+    MetricLabel("branch_changes_in_deposition", "branch changes in deposition", "", 0, better="down"),
+    MetricLabel("deposited_length_mm", "length deposited", "m", 2, 1e-3),
+    MetricLabel("flow_error_max", "flow per millimetre", "%", 2, 100, "down"),
+    MetricLabel("over_extruded_mm3", "too much material in dips", "mm³", 2, better="down"),
+    MetricLabel("lag_zone_mm", "length not judged by flow per millimetre", "mm", 0),
+    MetricLabel("extruded_mm", "filament", "m", 2, 1e-3),
+    MetricLabel("extruded_volume_mm3", "material deposited", "cm³", 2, 1e-3),
 )
-# metric → its name where there is little room; the long one stands in METRICS
-SHORT = {
-    "at_speed_fraction": "At commanded speed",
-    "speed_min_mm_s": "Slowest",
-    "deposition_time_s": "Depositing",
-    "print_time_s": "Whole print",
-    "sigma_min": "Singularity σ",
-    "joint_limit_margin_deg": "To an end stop",
-    "clearance_min_mm": "Clearance",
-    "velocity_ratio_max": "Joint speed / limit",
-    "acceleration_ratio_max": "Acceleration / limit",
-    "jerk_ratio_max": "Jerk / limit",
-    "path_deviation_max_mm": "Corners off the drawing",
-    "over_extruded_mm3": "Too much material",
+
+RECORD = "record"
+# What is judged, by what it is about: names of metrics and checks. What stands in none is about the record.
+GROUPS = {
+    "speed and time": (
+        "length at commanded speed (±2 %)",
+        "slowest in deposition",
+        "speed in deposition",
+        "speed in travel",
+        "print time",
+        "deposition time",
+        "deposition time without dips",
+        "deposition over that without dips",
+        "deposition time without jerk limits",
+        "deposition over that without jerk limits",
+        "deposition time of any joint path, at least",
+        "deposition longer than any joint path's, at most",
+    ),
+    "motion": (
+        "joint velocity",
+        "joint acceleration",
+        "joint jerk",
+        "joint range",
+        "rail range",
+        "singularity margin",
+        "wrist margin",
+        "branch changes in deposition",
+        "continuity",
+        "starts and ends at home",
+    ),
+    "geometry": (
+        "tip on the path",
+        "axis on the normal",
+        "axis near the file's normals",
+        "lean of the nozzle",
+        "bead's edges off their height by the lean",
+        "nozzle to gravity",
+        "layer to gravity",
+        "path within corner tolerance",
+        "input path reached everywhere",
+        "every bead complete",
+        "beads as wide and high as asked",
+        "layers on the part",
+        "nozzle normal to the part",
+        "beads within the part",
+        "layers filled",
+        "layers as dense as asked",
+        "print on the drawn path",
+        "drawn path left out",
+        "length deposited",
+    ),
+    "clearance": (
+        "least clearance",
+        "nozzle clear of part and print",
+        "arm clear of part and print",
+        "robots clear of each other and of fixtures",
+        "nozzle tip outside the part",
+        "print pressed by the nozzle",
+        "obstacles where the print is",
+    ),
+    "material": (
+        "flow per millimetre",
+        "length not judged by flow per millimetre",
+        "material keeps pace",
+        "extrusion balance",
+        "filament fed",
+        "fibre as long as its bead",
+        "motor runs while a bead is laid",
+        "too much material in dips",
+        "material fed by its own tool",
+        "rest for a change of material",
+        "material deposited",
+        "filament",
+    ),
+    RECORD: (
+        "all numbers finite",
+        "beads of the toolpath",
+        "recorded poses",
+        "recorded branch",
+        "recorded times and beads",
+        "recorded layers and lengths",
+        "recorded speed",
+        "programs repeat the plan",
+        "as it was planned",
+    ),
 }
 
 CHECK_NAMES = str.maketrans("_", " ")
@@ -142,36 +214,3 @@ def duration(seconds: float | None) -> str:
         return f"{whole // 60} min {whole % 60:02d} s"
     minutes = round(seconds / 60)
     return f"{minutes // 60} h {minutes % 60:02d} min"
-
-
-def summary_rows(columns: Sequence[Mapping[str, float]]) -> list[tuple[MetricLabel, list[tuple[str, bool, bool]]]]:
-    """Every metric that a column has, with what each shows: text, whether it is over the limit, whether it is best."""
-    columns = [with_ratios(column) for column in columns]
-    rows = []
-    for metric in METRICS:
-        values = [_scaled(column.get(metric.key), metric) for column in columns]
-        best = _best(values, metric)
-        cells = [
-            (
-                MISSING if value is None else distance(metric.key, value, metric.digits),
-                value is not None and round(value, 6) > metric.limit,
-                k in best,
-            )
-            for k, value in enumerate(values)
-        ]
-        if any(value is not None for value in values):
-            rows.append((metric, cells))
-    return rows
-
-
-def _scaled(value: float | None, metric: MetricLabel) -> float | None:
-    return None if value is None or math.isnan(value) else float(value) * metric.scale
-
-
-def _best(values: list[float | None], metric: MetricLabel) -> set[int]:
-    """Columns that show the best value, unless all show the same."""
-    shown = {i: round(value, metric.digits) for i, value in enumerate(values) if value is not None}
-    if not metric.better or len(set(shown.values())) < 2:
-        return set()
-    best = max(shown.values()) if metric.better == "up" else min(shown.values())
-    return {i for i, value in shown.items() if value == best}

@@ -6,16 +6,30 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from planner.report.wording import METRICS, SHORT, MetricLabel
+from planner.report.wording import METRICS, MetricLabel
 from planner.view.content import Content, Mistake, changes
 
 # ----------------------------------------------------------------------------------------------------
 # Key figures of a plan: those that decide between two, and which of two is the better one.
 
-ROWS: tuple[MetricLabel, ...] = tuple(metric for key in SHORT for metric in METRICS if metric.key == key)
+SHOWN = (
+    "at_speed_fraction",
+    "speed_min_mm_s",
+    "deposition_time_s",
+    "print_time_s",
+    "sigma_min",
+    "joint_limit_margin_deg",
+    "clearance_min_mm",
+    "velocity_ratio_max",
+    "acceleration_ratio_max",
+    "jerk_ratio_max",
+    "path_deviation_max_mm",
+    "over_extruded_mm3",
+)
+ROWS: tuple[MetricLabel, ...] = tuple(metric for key in SHOWN for metric in METRICS if metric.key == key)
 NONE = "–"
 
-Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in SHORT that a plan has
+Figures = tuple[tuple[str, float], ...]  # (name of the metric, value), of those in SHOWN that a plan has
 
 
 def figures_of(metrics: Mapping[str, float]) -> Figures:
@@ -24,9 +38,9 @@ def figures_of(metrics: Mapping[str, float]) -> Figures:
 
 
 def heading(row: MetricLabel) -> dict[str, str]:
-    """What a figure is called, in short with its unit and in full."""
+    """What a figure is called, with its unit."""
     unit = f", {row.unit}" if row.unit else ""
-    return {"label": SHORT[row.key] + unit, "full": row.label.strip()}
+    return {"label": row.label + unit}
 
 
 def written(row: MetricLabel, value: float | None) -> str:

@@ -173,7 +173,7 @@
     by("right").textContent = state.panes[1].strategy;
     const cell = (text, better) => element("td", { className: "n" + (better ? " better" : "") }, (better ? "✓ " : "") + text);
     by("figures").replaceChildren(...rows.map((row) => element("tr", {},
-      element("th", { scope: "row", textContent: row.label, title: row.full }),
+      element("th", { scope: "row", textContent: row.label }),
       cell(row.left, row.better === "left"), cell(row.right, row.better === "right"),
       element("td", { className: "n", textContent: row.difference }))));
   }
@@ -182,7 +182,7 @@
     const history = state.history;
     const head = ["#", "what was changed", "strategy", "verdict"].map((text) => element("th", { scope: "col", textContent: text }));
     by("columns").replaceChildren(...head, ...history.columns.map((column) =>
-      element("th", { scope: "col", className: "n", textContent: column.label, title: column.full })));
+      element("th", { scope: "col", className: "n", textContent: column.label })));
     by("rows").replaceChildren(...history.rows.map(historyRow));
     by("history").hidden = !history.rows.length;
     const count = history.rows.length ? history.rows[0].number : 0;
