@@ -221,7 +221,7 @@ def test_lost_layers_and_beads(name: str) -> None:
         assert failed(found(problem, toolpath, fewer, body)) & lost
 
 
-@pytest.mark.slow(keep=("faces-[top]-[1]",))
+@pytest.mark.slow(keep=("box-z_mm: 4-z_mm: 3", "wing-span_mm: 12-span_mm: 15"))
 @pytest.mark.parametrize(
     ("name", "key", "other"),
     [
