@@ -174,6 +174,13 @@ def test_a_layer_that_would_be_too_quick_is_laid_more_slowly_but_for_the_last_on
     assert times[2] < 4.0
     assert speeds[layers == 1].min() / speeds[layers == 1].max() == pytest.approx(30 / 40)
     assert any("layer 2 is laid more slowly than asked" in note for note in toolpath.notes)
+    slow = (
+        SPEED
+        + "  speeds: [{beads: ring, from_layer: 3, speed_mm_s: 1}]\n  layer_time: {least_s: 4, slowest_mm_s: 10}\n"
+    )
+    (note,) = [note for note in toolpath_of(slow)[1].notes if "more slowly" in note]
+    lowest = min(bead.speed for bead in toolpath_of(slow)[1].beads if bead.layer < 2 and bead.speed is not None)
+    assert f"down to {lowest / MM:.3g} mm/s" in note  # not the 1 mm/s that was asked for
 
 
 @given(

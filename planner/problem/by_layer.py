@@ -26,7 +26,7 @@ LayerNumber = Annotated[int, Quantity("", 1, 100_000, whole=True)]
 
 LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that what happens before and after never falls into the same one
 _SLOWEST = 0.5  # of the process's speed, where nothing else is given: below, thin beads drag and pull off
-_MOST = 100
+_MOST = 100  # rules, pauses or patterns: each is looked up for every bead
 
 
 def fits(pattern: str, name: str) -> bool:
@@ -65,7 +65,7 @@ class SpeedSpec(Section):
 
 
 class LayerTimeSpec(Section):
-    """How long a layer takes at least, so that it is firm before the next one comes."""
+    """The least time between the beginnings of two layers, so that one is firm before the next comes."""
 
     least: Annotated[float, Quantity("s", LEAST_WAIT, 3600)] = key(
         "least_s", "time from a layer's beginning to the next one's, at least [s]"
@@ -118,7 +118,7 @@ class SeamSpec(Section):
         "near_mm", "place in the part frame that they begin nearest to [mm]; default: none", None
     )
     towards: Annotated[Vector, Quantity("", -1e6, 1e6, count=3), UNIT_VECTOR] | None = key(
-        "towards", "direction in the part frame, as far in which as they go they begin; default: none", None
+        "towards", "direction in the part frame; they begin where they reach farthest that way; default: none", None
     )
 
     @model_validator(mode="after")

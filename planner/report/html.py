@@ -15,7 +15,7 @@ from planner.report import page
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
 from planner.report.joints import shown_units
-from planner.report.judged import Judged, judged
+from planner.report.judged import JudgedList, judged
 from planner.report.places import dips_section, without_stops
 from planner.report.robustness import robustness_section
 from planner.report.roll_map import roll_map_figures, roll_map_section
@@ -110,7 +110,7 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
     page.write_text(Path(path), text.replace(FORECAST, section, 1))
 
 
-def _rest_told(listed: Judged) -> str:
+def _rest_told(listed: JudgedList) -> str:
     """How many rows are folded, and how many of them are checks."""
     rows = [row for _, rows in listed.rest for row in rows]
     holding = sum(row.ok is True for row in rows)

@@ -88,7 +88,7 @@ PAIRS = "bodies that come near"
 
 
 @dataclass(frozen=True)
-class Row:
+class JudgedRow:
     """One thing that is judged.
 
     value, limit  as they are shown; `limit` is empty where there is none
@@ -120,20 +120,20 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedList:
     """The rows of a plan: what fails, what stands at the top, where speed is lost and margins are tight, and the rest by groups.
 
     dips  what the table of dips has beyond those in `tight`
     """
 
-    failed: tuple[Row, ...]
-    headlines: tuple[Row, ...]
-    tight: tuple[Row, ...]
-    rest: tuple[tuple[str, tuple[Row, ...]], ...]
-    dips: tuple[Row, ...]
+    failed: tuple[JudgedRow, ...]
+    headlines: tuple[JudgedRow, ...]
+    tight: tuple[JudgedRow, ...]
+    rest: tuple[tuple[str, tuple[JudgedRow, ...]], ...]
+    dips: tuple[JudgedRow, ...]
 
     @property
-    def rows(self) -> Iterator[Row]:
+    def rows(self) -> Iterator[JudgedRow]:
         """All rows, as the page has them."""
         yield from (*self.failed, *self.headlines, *self.tight)
         for _, rows in self.rest:
@@ -151,7 +151,7 @@ class Judged:
         return [row.key for row in self.rows if row.place is not None and row.place.kind == "slow"]
 
 
-def judged(plan: Plan) -> Judged:
+def judged(plan: Plan) -> JudgedList:
     """The list of a plan."""
     others = [values for name, values in plan.baseline.items() if name != plan.strategy]
     worst = worst_samples(plan)
@@ -168,11 +168,11 @@ def judged(plan: Plan) -> Judged:
     above |= {row.name for row in margins[:TIGHTEST]}
     folded = {name: row for name, row in holds.items() if name not in above}
     group_of = {name: group for group, names in GROUPS.items() for name in names}
-    groups: dict[str, list[Row]] = {group: [] for group in (*GROUPS, PAIRS)}
+    groups: dict[str, list[JudgedRow]] = {group: [] for group in (*GROUPS, PAIRS)}
     for name, row in folded.items():
         groups[group_of.get(name, PAIRS if row.place is not None and row.place.pair else RECORD)].append(row)
     return _numbered(
-        Judged(
+        JudgedList(
             tuple(failed),
             tuple(headlines),
             (*dips[:DEAREST], *margins[:TIGHTEST]),
@@ -182,12 +182,12 @@ def judged(plan: Plan) -> Judged:
     )
 
 
-def _tightest(rows: Sequence[Row]) -> Row:
+def _tightest(rows: Sequence[JudgedRow]) -> JudgedRow:
     """The row that uses most of its limit."""
     return max(rows, key=lambda row: row.share or 0.0)
 
 
-def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[str, Worst]) -> Iterator[Row]:
+def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[str, Worst]) -> Iterator[JudgedRow]:
     """A row for each check, with the figures of the metric that has its name."""
     metrics = {metric.label: metric for metric in METRICS}
     for check in plan.checks:
@@ -202,7 +202,7 @@ def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[s
             row = _figure(metric, plan.metrics, others)
             scale = metric.scale
         else:
-            row, scale = Row(name, UNITS.get(check.unit, check.unit), significant(check.worst)), 1.0
+            row, scale = JudgedRow(name, UNITS.get(check.unit, check.unit), significant(check.worst)), 1.0
         limit = f"{'≥' if check.least else '≤'}\u2009{significant(check.limit * scale)}"
         pair = next(((each.a, each.b) for each in plan.approaches if _is_pair(check, each)), ())
         told = (
@@ -247,7 +247,7 @@ def _share(check: Check) -> float | None:
     return check.limit / check.worst if check.worst > 0.0 else None
 
 
-def _figure(metric: MetricLabel, mine: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> Row:
+def _figure(metric: MetricLabel, mine: Mapping[str, float], others: Sequence[Mapping[str, float]]) -> JudgedRow:
     """A metric beside those of the other strategies."""
     value, *theirs = (_scaled(each.get(metric.key), metric) for each in (mine, *others))
     ahead = [_ahead(value, other, metric) for other in theirs]
@@ -257,7 +257,7 @@ def _figure(metric: MetricLabel, mine: Mapping[str, float], others: Sequence[Map
     )
     unit = "" if metric.key in SPANS else metric.unit
     text = MEASURES[metric.key].text if metric.key in MEASURES else ""
-    return Row(
+    return JudgedRow(
         metric.label, unit, _shown(metric, value), rivals=rivals, better=bool(ahead) and min(ahead) > 0, text=text
     )
 
@@ -280,7 +280,7 @@ def _shown(metric: MetricLabel, value: float | None) -> str:
     return duration(value) if metric.key in SPANS else distance(metric.key, value, metric.digits)
 
 
-def _measured(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[str, Worst]) -> Iterator[Row]:
+def _measured(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[str, Worst]) -> Iterator[JudgedRow]:
     """A row for each metric that a strategy has."""
     mine, theirs = with_ratios(plan.metrics), [with_ratios(values) for values in others]
     for metric in METRICS:
@@ -297,7 +297,7 @@ def _measured(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[
         yield replace(row, where=", ".join(filter(None, (at.joint, where_shortly(plan, at.sample)))), place=place)
 
 
-def _pairs(plan: Plan) -> Iterator[Row]:
+def _pairs(plan: Plan) -> Iterator[JudgedRow]:
     """A row for each pair of bodies that come near each other, but for those that a check tells."""
     for each in plan.approaches:
         if any(_is_pair(check, each) for check in plan.checks):
@@ -306,16 +306,16 @@ def _pairs(plan: Plan) -> Iterator[Row]:
         ok = None if each.distance >= each.need - NOTHING else False
         share = each.need / each.distance if each.distance > 0.0 else None
         value, limit = number(each.distance * 1e3, 1), f"≥\u2009{significant(each.need * 1e3)}"
-        yield Row(place.what, "mm", value, limit, share, ok, where=where_shortly(plan, each.sample), place=place)
+        yield JudgedRow(place.what, "mm", value, limit, share, ok, where=where_shortly(plan, each.sample), place=place)
 
 
-def _dips(plan: Plan) -> list[Row]:
+def _dips(plan: Plan) -> list[JudgedRow]:
     """A row for each of the dips that cost most."""
     rows = []
     for dip in worst_first(without_stops(plan.dips))[:MOST_ROWS]:
         place = dip_place(plan, dip)
         rows.append(
-            Row(
+            JudgedRow(
                 place.what,
                 "s lost",
                 number(dip.lost, 3),
@@ -326,11 +326,11 @@ def _dips(plan: Plan) -> list[Row]:
     return rows
 
 
-def _numbered(found: Judged) -> Judged:
+def _numbered(found: JudgedList) -> JudgedList:
     """The list with numbers of the places, and letters of those that are not folded."""
     numbers, letters = itertools.count(), itertools.count()
 
-    def placed(rows: Sequence[Row], lettered: bool = False) -> tuple[Row, ...]:
+    def placed(rows: Sequence[JudgedRow], lettered: bool = False) -> tuple[JudgedRow, ...]:
         out = []
         for row in rows:
             if row.place is not None:
@@ -339,7 +339,7 @@ def _numbered(found: Judged) -> Judged:
             out.append(row)
         return tuple(out)
 
-    return Judged(
+    return JudgedList(
         placed(found.failed, True),
         placed(found.headlines, True),
         placed(found.tight, True),

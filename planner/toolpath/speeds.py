@@ -59,9 +59,10 @@ def with_speeds(problem: Problem, toolpath: Toolpath) -> Toolpath:
     speeds, notes = commanded_speeds(process, toolpath), toolpath.notes
     if process.layer_time is not None:
         asked = commanded_speeds(process.model_copy(update={"layer_time": None}), toolpath)
-        slowed = {bead.layer + 1 for bead, v, w in zip(toolpath.beads, speeds, asked, strict=True) if v < w}
-        if slowed:
-            notes = (*notes, _slowed(slowed, float(speeds.min())))
+        slower = np.flatnonzero(speeds < asked)
+        if len(slower):
+            layers = {toolpath.beads[i].layer + 1 for i in slower}
+            notes = (*notes, _slowed(layers, float(speeds[slower].min())))
     beads = tuple(
         bead if v == process.speed else replace(bead, speed=float(v))
         for bead, v in zip(toolpath.beads, speeds, strict=True)
