@@ -6,6 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable
+from fnmatch import fnmatchcase
 from pathlib import Path
 from zlib import crc32
 
@@ -76,10 +77,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files in the order of FIRST, all others after them; slow tests only where they are asked for.
 
-    `@pytest.mark.slow` is for tests that take seconds; `keep` names cases of such a test that run all the same.
+    `@pytest.mark.slow` is for tests that take seconds; `keep` has patterns of cases of such a test that run all the same,
+    `cases` of the only ones that are slow.
     """
     rank = {f"test_{name}.py": i for i, name in enumerate(FIRST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    if not config.option.keyword and not any("::" in each for each in config.args):
+        _refuse_unknown_cases(items)
     if config.getoption("--all-tests"):
         return
     part, parts = (int(each) for each in (config.getoption("--slice") or "-1/1").split("/"))
@@ -91,7 +95,28 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 def _is_slow(item: pytest.Item) -> bool:
     marker, case = item.get_closest_marker("slow"), getattr(item, "callspec", None)
-    return marker is not None and (case is None or case.id not in marker.kwargs.get("keep", ()))
+    if marker is None or case is None:
+        return marker is not None
+    kept, slow = marker.kwargs.get("keep", ()), marker.kwargs.get("cases", ("*",))
+    return _is_any(case.id, slow) and not _is_any(case.id, kept)
+
+
+def _refuse_unknown_cases(items: list[pytest.Item]) -> None:
+    """A pattern that means no case would keep, or leave out, something else than it says."""
+    cases: dict[tuple[str, str], list[str]] = {}
+    for item in items:
+        marker, case = item.get_closest_marker("slow"), getattr(item, "callspec", None)
+        for pattern in [] if marker is None else [each for named in marker.kwargs.values() for each in named]:
+            cases.setdefault((item.nodeid.partition("[")[0], pattern), []).append("" if case is None else case.id)
+    unknown = [
+        f"{test}: {pattern!r}" for (test, pattern), ids in cases.items() if not any(_is_any(i, (pattern,)) for i in ids)
+    ]
+    if unknown:
+        raise pytest.UsageError("marked as slow, but no such case: " + "; ".join(unknown))
+
+
+def _is_any(case: str, patterns: tuple[str, ...]) -> bool:
+    return any(case == pattern or fnmatchcase(case, pattern) for pattern in patterns)
 
 
 @pytest.fixture(scope="session")

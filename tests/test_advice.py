@@ -72,6 +72,7 @@ def test_advice_does_what_it_says() -> None:
         assert row.time == pytest.approx(row.advice.time, rel=WITHIN), row.advice.words
 
 
+@pytest.mark.slow
 def test_advice_raises_the_share_at_speed_and_is_told() -> None:
     plan = advised()
     assert plan.advice

@@ -559,6 +559,7 @@ def test_reader_refuses_what_it_does_not_know(language: str, ending: str, old: s
         differences(language, files | {name: files[name].replace(old, new, 1)})
 
 
+@pytest.mark.slow(cases=("kawasaki", "inform"))
 @pytest.mark.parametrize("language", ARMS)
 @settings(max_examples=60, deadline=None)
 @given(st.data())

@@ -90,6 +90,7 @@ class _OneByOne:
         return done
 
 
+@pytest.mark.slow(keep=("positioner",))
 @pytest.mark.parametrize("plan", [small_plan, bed_plan], ids=["positioner", "bed"])
 def test_verification_in_threads_is_the_same(plan: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan()
@@ -150,6 +151,7 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
     }
 
 
+@pytest.mark.slow
 @needs_two_cores
 def test_baseline_and_maps_beside_are_those_made_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = small_plan()

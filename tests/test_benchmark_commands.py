@@ -60,6 +60,7 @@ def test_there_are_commands() -> None:
     assert set(SMALLEST) <= set(commands())
 
 
+@pytest.mark.slow(cases=("cluster",))
 @pytest.mark.parametrize("name", commands())
 def test_a_command_says_how_it_is_used(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -92,6 +92,7 @@ def drawn(found: Opened) -> int:
     )
 
 
+@pytest.mark.slow
 def test_a_report_complains_of_nothing_and_asks_the_network_for_nothing(stars: Opened, small: Opened) -> None:
     for found in (stars, small):
         assert found.complaints == []
@@ -414,6 +415,7 @@ def test_a_row_moves_scene_chart_and_card_by_the_keyboard_too(small: Opened) -> 
     page.evaluate("() => scrollTo(0, 0)")
 
 
+@pytest.mark.slow
 def test_the_list_is_searched_by_a_word(small: Opened) -> None:
     page = small.page
     unfold(small)

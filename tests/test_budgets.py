@@ -45,6 +45,7 @@ def test_what_a_refusal_says() -> None:
         limit.check(11, "it has", InputError, "fewer")
 
 
+@pytest.mark.slow(cases=("blocks-*", "rules-*"))
 @pytest.mark.parametrize(
     ("name", "place", "said"),
     [

@@ -279,6 +279,7 @@ def test_the_verifier_holds_a_motion_against_what_is_asked(overrides: str, check
     assert failed(replace(by_layer(), problem=other)) == {check}
 
 
+@pytest.mark.slow(keep=("<lambda>0", "<lambda>3"))
 @pytest.mark.parametrize(
     "change",
     [

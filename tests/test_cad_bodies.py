@@ -49,6 +49,7 @@ def test_a_body_is_closed_and_faces_outwards(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [50, 50, 10], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_facets_of_a_ball_keep_to_it(tmp_path: Path) -> None:
     body = body_of(written(tmp_path, BRepPrimAPI_MakeSphere(20.0).Shape()))
     assert body.is_watertight
@@ -57,6 +58,7 @@ def test_facets_of_a_ball_keep_to_it(tmp_path: Path) -> None:
     assert off.max() < 4.0 * CHORD
 
 
+@pytest.mark.slow
 def test_bodies_of_an_assembly_stand_where_it_puts_them(tmp_path: Path) -> None:
     far, mirror = gp_Trsf(), gp_Trsf()
     far.SetTranslation(gp_Vec(100.0, 0.0, 0.0))
@@ -95,6 +97,7 @@ def test_a_body_from_cad_is_filled_with_layers(tmp_path: Path) -> None:
     assert toolpath.layers == 6
 
 
+@pytest.mark.slow(cases=("ISO-10303*END-ISO*",))
 @pytest.mark.parametrize(
     ("data", "reason"),
     [

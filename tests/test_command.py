@@ -325,7 +325,7 @@ def place_in(message: str) -> tuple[int, int, float]:
     return int(found[1]), int(found[2]), float(found[3])
 
 
-@pytest.mark.slow(keep=("ladder",))
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["ladder", "greedy", "fixed", "as_published"])
 def test_cylinder_out_of_reach(run: Callable[..., Outcome], tmp_path: Path, strategy: str) -> None:
     write_small(tmp_path, OUT_OF_REACH)
@@ -467,6 +467,7 @@ def test_wrong_input_leaves_earlier_results(run: Callable[..., Outcome], tmp_pat
 # --- a verified plan: code 0 -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=("quiet",))
 @pytest.mark.parametrize("quiet", [[], ["--quiet"]], ids=["bars", "quiet"])
 def test_verified_plan(run: Callable[..., Outcome], tmp_path: Path, quiet: list[str]) -> None:
     write_small(tmp_path)
@@ -652,7 +653,7 @@ def put_earlier(folder: Path) -> None:
             (fresh / name).write_text("earlier")
 
 
-@pytest.mark.slow(keep=("when all is written aside-SIGTERM",))
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize("place", PLACES)
 def test_interruption_leaves_earlier_results(tmp_path: Path, place: str, number: int) -> None:
@@ -715,7 +716,7 @@ def test_interruption_of_code_that_was_text(tmp_path: Path) -> None:
     assert ended.returncode == 130
 
 
-@pytest.mark.slow(keep=("SIGINT",))
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
 def test_interruption_of_a_real_run(tmp_path: Path, number: int) -> None:
     """Nothing held up: as soon as the folder for the results stands, Ctrl-C, or what a system sends that goes down."""

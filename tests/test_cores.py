@@ -183,6 +183,7 @@ def test_a_steep_part_is_left_out() -> None:
     assert 19.0 <= np.degrees(np.arccos(normals[:, 2].min())) <= 20.0
 
 
+@pytest.mark.slow
 def test_a_count_takes_the_first_layers() -> None:
     few, all_ = core("aerofoil_core", "layers.count=3"), core("aerofoil_core")
     assert few.layers == 3

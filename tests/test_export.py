@@ -362,6 +362,7 @@ def test_code_of_an_unverified_plan_is_a_mistake(tmp_path):
     assert write_trajectory(bad, tmp_path).name == "trajectory.csv"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_foreign_parser_accepts_the_program(monkeypatch):
     config = pytest.importorskip("rapidchecker.config")

@@ -205,6 +205,7 @@ def with_pause_moved(lines: list[str]) -> list[str]:
     return [*lines[:longest], *lines[longest + 1 : behind], lines[longest], *lines[behind:]]
 
 
+@pytest.mark.slow(keep=("klipper-backwards",))
 @pytest.mark.parametrize("spoil", [all_at_once, backwards, with_pause_moved])
 @pytest.mark.parametrize("firmware", ["reprap", "klipper"])
 def test_filament_that_moves_when_it_is_not_due_is_found(

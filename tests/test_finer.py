@@ -45,6 +45,7 @@ def toolpath(problem: Problem) -> Toolpath:
     return build_toolpath(problem)
 
 
+@pytest.mark.slow
 def test_a_plan_that_leaves_the_normal_between_samples_gets_more_of_them(
     problem: Problem, toolpath: Toolpath, monkeypatch: pytest.MonkeyPatch
 ) -> None:

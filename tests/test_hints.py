@@ -58,6 +58,7 @@ def test_a_speed_that_no_joint_can_hold_is_no_reason_to_refuse(toolpath: Toolpat
     assert len(plan(toolpath, "process.speed_mm_s=400")) == 1
 
 
+@pytest.mark.slow(cases=("cell.positioner*",))
 @pytest.mark.parametrize(
     ("field", "where"), [("cell.positioner.origin_mm", [1200.0, 9.87, 380.0]), ("cell.bed_mm", [-1020.0, 455.0, 300.0])]
 )
@@ -75,6 +76,7 @@ def test_a_part_out_of_reach_is_moved_to_where_it_can_be_printed(
     assert not has_coarse_path(toolpath, *fixed, f"{field}={(np.array(where) + 0.75 * move).tolist()}")
 
 
+@pytest.mark.slow
 def test_a_held_axis_is_turned_to_where_there_is_a_path(toolpath: Toolpath) -> None:
     tight = "resolve.min_sigma=0.24"
     hint = next(h for h in hints_of(toolpath, tight) if "held_deg" in h)

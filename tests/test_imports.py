@@ -33,6 +33,7 @@ def modules_after(code: str) -> set[str]:
     return set(ran.stdout.splitlines()[-1].split())
 
 
+@pytest.mark.slow
 def test_a_command_starts_without_what_only_some_problems_need() -> None:
     loaded = modules_after("import planner.planning.solve_command, planner.report.html")
     assert "planner.planning.pipeline" in loaded and not OF_SOME & loaded
@@ -45,7 +46,7 @@ def test_the_live_view_starts_without_what_its_solver_needs() -> None:
     assert "planner.cell.robot_file" in loaded and not {"numba", "pinocchio", "coal", "scipy"} & loaded
 
 
-@pytest.mark.slow(keep=("peer_cap-needed0",))
+@pytest.mark.slow
 @pytest.mark.parametrize(("problem", "needed"), [("peer_cap", set()), ("cylinder_logo", {"shapely", "svgelements"})])
 def test_a_source_brings_its_own_packages(problem: str, needed: set[str]) -> None:
     loaded = modules_after(f"from planner.planning.check_command import main; main([{problem!r}])")

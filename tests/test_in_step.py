@@ -179,6 +179,7 @@ def test_a_free_file_leaves_the_robot() -> None:
     assert abs(worst(apart(plan, CASES[1]).begin)) > APART and abs(worst(apart(plan, CASES[2]).end)) > APART
 
 
+@pytest.mark.slow(keep=("process.extruder.lag_s=0.05",))
 @pytest.mark.parametrize(
     "change",
     [

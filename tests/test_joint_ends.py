@@ -41,6 +41,7 @@ def problem_at(folder: Path, beyond_deg: float, *overrides: str, towards: int = 
     return load(file, *overrides)
 
 
+@pytest.mark.slow(keep=("ladder",))
 @pytest.mark.parametrize("strategy", ["sqp", "ladder"])
 def test_what_can_only_be_printed_near_an_end_is_printed_there_and_told(tmp_path: Path, strategy: str) -> None:
     problem = problem_at(tmp_path, 2.0)

@@ -273,6 +273,7 @@ def test_a_longer_program_is_files_that_call_each_other(monkeypatch: pytest.Monk
         differences(plan, files | {"Other.src": second.replace("TwoBeads_2", "Other")})
 
 
+@pytest.mark.slow
 def test_programs_that_a_pendant_can_edit() -> None:
     """A print of as many beads as the ten-layer logo has."""
     plan = make_plan(arm="kr6_r900", beads=402, length=0.002, dip=False)
@@ -327,6 +328,7 @@ def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which: int) -> Non
     assert any("path" in difference for difference in tampered(LINE, shifted("X", 0.2), which))
 
 
+@pytest.mark.slow(keep=("1-0", "3-44", "6-77"))
 @pytest.mark.parametrize("which", range(0, 80, 11))
 @pytest.mark.parametrize("axis", range(1, 7))
 def test_any_axis_of_travel_that_was_moved_is_found(which: int, axis: int) -> None:

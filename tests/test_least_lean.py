@@ -53,6 +53,7 @@ def some_normals(n: int) -> Array:
     return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
 
 
+@pytest.mark.slow(cases=("both",))
 @pytest.mark.parametrize("which", TABLES)
 def test_least_lean_of_each_place_against_all_angles(which: str) -> None:
     cell = table(which)

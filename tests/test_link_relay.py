@@ -289,6 +289,7 @@ def remarks(run: Run) -> None:
 BORNE = (slow_board, slow_controller, bad_transmission, remarks)
 
 
+@pytest.mark.slow(keep=("0",))
 @pytest.mark.parametrize("part", range(4))
 def test_faults(part: int) -> None:
     """A thousand runs, each with one of twenty kinds of fault at a random moment."""

@@ -67,6 +67,7 @@ def crossings(surface: Surface, start: np.ndarray, way: np.ndarray) -> int:
     return int(((det != 0) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)).sum())
 
 
+@pytest.mark.slow(keep=("irb140", "irb2600"))
 @pytest.mark.parametrize("key", ARMS)
 def test_shells_stay_by_what_is_checked(key: str) -> None:
     for _, bodies, surface in links(read_robot(ROBOTS / f"{key}.yaml")):
@@ -85,6 +86,7 @@ def test_shells_stay_by_what_is_checked(key: str) -> None:
         assert lack.max() < 0.12 * np.ptp(corners, axis=0).max() + 5e-3, bodies[0].link
 
 
+@pytest.mark.slow(keep=("irb140", "ur3e"))
 @pytest.mark.parametrize("key", ARMS)
 def test_shells_are_closed_and_hold_the_axes_that_cross_them(key: str) -> None:
     robot = read_robot(ROBOTS / f"{key}.yaml")
@@ -111,6 +113,7 @@ def _depth(body: Body, point: np.ndarray) -> float:
     return float(np.linalg.norm(surface.vertices - point, axis=1).min())
 
 
+@pytest.mark.slow(cases=("panda", "xarm7", "irb1200*", "irb1600*", "irb6640"))
 @pytest.mark.parametrize("key", [*SHELLS, "ur5", "panda", "xarm7"])
 def test_surfaces_are_finite_with_unit_normals_that_face_outwards(key: str) -> None:
     for _, _, surface in links(read_robot(ROBOTS / f"{key}.yaml")):

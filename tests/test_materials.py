@@ -273,6 +273,7 @@ def test_motion_handed_over_without_rests_stops_for_a_change_too() -> None:
 # --- what is checked ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_bead_that_another_tool_feeds() -> None:
     plan = two_materials()
     assert failed(plan) == set()

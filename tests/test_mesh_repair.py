@@ -108,6 +108,7 @@ def test_a_surface_that_is_printed_on_is_turned_upwards_as_one() -> None:
     assert (np.cross(found[:, 1] - found[:, 0], found[:, 2] - found[:, 0])[:, 2] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_beads_on_a_mesh_do_not_mind_which_way_its_facets_face(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(4, 40.0)
     facets = np.array(ball.triangles)

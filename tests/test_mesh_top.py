@@ -101,6 +101,7 @@ def test_bent_facets_are_near_the_ball_that_corners_stand_on(subdivisions: int, 
 # Coarse facets
 
 
+@pytest.mark.slow(keep=("small ball",))
 @pytest.mark.parametrize(
     ("corners", "off", "turned"),
     [(ball(0.05, 3), 1e-5, 0.1), (ball(0.02, 3), 5e-6, 0.1), (lying_cylinder(0.04, 0.12, 24), 1.2e-5, 0.15)],
@@ -199,7 +200,7 @@ def test_edges_stay_sharp_unless_they_may_be_rounded() -> None:
 # Whole prints
 
 
-@pytest.mark.slow(keep=("ball",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball", "cylinder", "noise"])
 def test_coarse_and_noisy_bodies_print_at_speed(tmp_path: Path, name: str) -> None:
     corners, origin = {

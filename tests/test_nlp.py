@@ -202,6 +202,7 @@ def test_a_wrong_joint_violates_the_program(cell: Cell, path: JointPath) -> None
         assert np.abs(g[:6]).max() > 1e-5
 
 
+@pytest.mark.slow(keep=("axis fixed",))
 @pytest.mark.parametrize("cones", CONES, ids=["axis fixed", "axis free"])
 def test_derivatives_are_those_of_differences(cell: Cell, path: JointPath, cones: Cones) -> None:
     _, stretch, state, _ = started(cell, path, cones)

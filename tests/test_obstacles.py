@@ -264,6 +264,7 @@ def test_looking_where_routes_lead_finds_the_route_among_clear_nodes(
     assert (seen & ~np.isfinite(nodes.price)).any(), "everything was looked at"
 
 
+@pytest.mark.slow
 def test_the_ladder_keeps_clear_of_a_post(problem: Problem, tasks: tuple[NozzleTask, ...]) -> None:
     bare = with_bodies(build_cell(problem))
     unaware = ladder(bare, tasks, problem.resolve)

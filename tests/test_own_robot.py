@@ -34,6 +34,7 @@ def test_the_page_shows_the_files_that_are_solved_here() -> None:
         assert f"\n{(EXAMPLE / name).read_text(encoding='utf-8')}```" in page, f"{name} is not as on the page"
 
 
+@pytest.mark.slow
 def test_the_example_is_solved_and_verified(folder: Path) -> None:
     plan = solve_alone(load_problem(folder / "print.yaml", COARSE))
     assert [check.name for check in plan.checks if not check.ok] == []

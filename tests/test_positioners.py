@@ -207,7 +207,7 @@ def test_every_kind_of_cell_prints_a_verified_wave(folder: Path, name: str) -> N
     assert ("wrist_margin_deg" in plan.metrics) == (len(plan.cell.arm) == 6)
 
 
-@pytest.mark.slow(keep=("two",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["one", "two", "arm_held", "arm_some", "arm_all"])
 def test_external_axes_read_back_from_rapid(folder: Path, name: str) -> None:
     plan = plan_of(folder, name)
@@ -297,7 +297,7 @@ def lean_of(plan: Plan) -> float:
 # Arms that are not ABB's
 
 
-@pytest.mark.slow(keep=("panda",))
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", OTHERS)
 def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
     folder: Path, tmp_path: Path, arm: str, capsys: pytest.CaptureFixture[str]
@@ -316,7 +316,7 @@ def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
         rapid(plan)
 
 
-@pytest.mark.slow(keep=("iiwa",))
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", OTHERS)
 def test_another_branch_is_noticed_on_every_kind_of_arm(folder: Path, arm: str) -> None:
     plan = plan_of(folder, arm)

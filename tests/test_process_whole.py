@@ -194,6 +194,7 @@ def test_heating_lasts_as_long_as_it_may() -> None:
     assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
+@pytest.mark.slow(keep=("fibre without a wait",))
 @pytest.mark.parametrize("name", FIBRES)
 def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> None:
     plan = solved(name, 0.001)
@@ -215,6 +216,7 @@ def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> N
         assert at not in program.triggers
 
 
+@pytest.mark.slow(cases=("slow prime*",))
 @pytest.mark.parametrize(
     ("name", "pattern", "change"),
     [

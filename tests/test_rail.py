@@ -306,6 +306,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return solve_alone(load_problem(write_small(tmp_path_factory.mktemp("small"), *ON_TRACK)))
 
 
+@pytest.mark.slow
 def test_a_print_with_rail_and_positioner_is_verified(plan: Plan) -> None:
     promises_kept(plan)
     assert plan.cell.joint_names[0] == "rail" and plan.cell.joint_names[-1] == "rotation"

@@ -105,6 +105,7 @@ def test_modules_say_what_one_module_says(style):
     assert (whole.triggers, whole.sends, whole.demands) == (parts.triggers, parts.sends, parts.demands)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_foreign_parser_accepts_modules_and_demands(monkeypatch):
     config = pytest.importorskip("rapidchecker.config")

@@ -164,6 +164,7 @@ def here_columns(found, points_q) -> Array:
     return slopes(found.scene.surface, points_q[0])[found.fit.kept]
 
 
+@pytest.mark.slow(cases=("0",))
 @pytest.mark.parametrize("seed", range(6))
 def test_wrong_contacts_are_found_and_left_out(tmp_path: Path, seed: int) -> None:
     here, random = scene("fibre_bowl"), np.random.default_rng(seed)
@@ -533,6 +534,7 @@ def test_contacts_in_one_line_name_the_freedom(tmp_path: Path) -> None:
         register(here, file, Ask())
 
 
+@pytest.mark.slow(cases=("ask0",))
 @pytest.mark.parametrize("ask", [Ask(table=True), Ask(size=True), Ask(free=())])
 def test_what_cannot_be_asked(tmp_path: Path, ask: Ask) -> None:
     here = scene("saddle_ring")

@@ -163,6 +163,7 @@ def moved(bead: Bead, points: Array) -> Bead:
     return replace(bead, points=points, source=points)
 
 
+@pytest.mark.slow(cases=("mesh",))
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_true_print_passes_and_is_judged(name: str) -> None:
     findings = found(*print_of(name))

@@ -136,7 +136,7 @@ def moved(
     return [replace(bead, points=by(bead.points), normals=normals(np.array(bead.normals))) for bead in toolpath.beads]
 
 
-@pytest.mark.slow(keep=("wing", "box", "wing on a support", "level wing"))
+@pytest.mark.slow(keep=("level wing", "box"))
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_true_print_passes_and_is_judged(name: str) -> None:
     findings = found(*print_of(name))
@@ -221,7 +221,7 @@ def test_lost_layers_and_beads(name: str) -> None:
         assert failed(found(problem, toolpath, fewer, body)) & lost
 
 
-@pytest.mark.slow(keep=("box-z_mm: 4-z_mm: 3", "wing-span_mm: 12-span_mm: 15"))
+@pytest.mark.slow(cases=("box-*",))
 @pytest.mark.parametrize(
     ("name", "key", "other"),
     [
@@ -271,6 +271,7 @@ def _another_face() -> int:
     return max(others, key=lambda face: float(np.ptp(face.points(np.vstack(face.loops)), axis=0)[:2].prod())).number
 
 
+@pytest.mark.slow(keep=("box",))
 @pytest.mark.parametrize("name", ["box", "hill"])
 def test_what_a_mesh_has_lost_since_it_was_planned(name: str, tmp_path: Path) -> None:
     """The file is another one when the print is judged: with a hole in it, or moved by 3 mm."""
@@ -297,6 +298,7 @@ def test_a_volume_s_loss_is_excused_only_where_it_is_told() -> None:
     assert FILLED in failed(found(problem, replace(toolpath, told=Told(off=1e-4)), lost, body))
 
 
+@pytest.mark.slow(cases=("0006",))
 @pytest.mark.parametrize("digits", ["0006", "0024", "2412", "4415", "6309", "9921"])
 def test_naca_sections_are_those_of_the_planner(digits: str) -> None:
     problem, _ = print_of("tapered wing")
@@ -311,7 +313,7 @@ def test_naca_sections_are_those_of_the_planner(digits: str) -> None:
         assert theirs.lower.distance(mine.lower[0]).max() < 1e-5
 
 
-@pytest.mark.slow(keep=("turned facets",))
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["ball", "two balls", "turned facets", "ring"])
 def test_lines_through_a_body_tell_its_inside(shape: str) -> None:
     """Against trimesh's own test of what a body holds; bodies that overlap are one, and facets may face the wrong way."""

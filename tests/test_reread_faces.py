@@ -75,6 +75,7 @@ def print_of(name: str) -> tuple[Problem, Toolpath]:
     return problem, build_toolpath(problem)
 
 
+@pytest.mark.slow(keep=("heights1",))
 @pytest.mark.parametrize("heights", [BENDS_ONCE, BENDS_TWICE])
 def test_normals_between_corners_are_those_of_the_face(tmp_path: Path, heights: tuple[float, ...]) -> None:
     """Where a surface turns back, triangles as flat as it is may be so long that normals between their ends are not its."""
@@ -97,7 +98,7 @@ def test_normals_between_corners_are_those_of_the_face(tmp_path: Path, heights: 
     assert (side * bend > least - 2.0).all() and (side * bend < most + 2.0).all()  # 1/m: an end's, not the middle's
 
 
-@pytest.mark.slow(keep=("S", "strip"))
+@pytest.mark.slow(keep=("strip",))
 @pytest.mark.parametrize("name", SHEETS)
 def test_a_true_print_passes(name: str) -> None:
     findings = found(*print_of(name))
@@ -111,7 +112,7 @@ def changed(beads: tuple[Bead, ...], by: Callable[[Bead], tuple[Array, Array]]) 
     return [replace(bead, points=points, normals=normals) for bead in beads for points, normals in (by(bead),)]
 
 
-@pytest.mark.slow(keep=("S", "strip"))
+@pytest.mark.slow(keep=("S",))
 @pytest.mark.parametrize("name", SHEETS)
 def test_a_spoilt_print_fails(name: str) -> None:
     """Turned, off its height, leaning by half a degree, or a bead too few."""

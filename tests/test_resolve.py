@@ -383,6 +383,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Sample
     return Nodes(grid, q.astype(np.float32), price), demand, limits
 
 
+@pytest.mark.slow(keep=("False",))
 @pytest.mark.parametrize("periodic", [True, False])
 def test_search_against_brute_force(periodic: bool) -> None:
     rng = np.random.default_rng(7 + periodic)
@@ -422,7 +423,7 @@ def winds_within(along: Array, low: float, high: float) -> bool:
     return bool(angles.max() + turns <= high)
 
 
-@pytest.mark.slow(keep=("counted2",))
+@pytest.mark.slow
 @pytest.mark.parametrize("counted", [(5,), (4, 5), (6,), (5, 6)])
 def test_counted_turns_against_brute_force(counted: tuple[int, ...]) -> None:
     """Of all ways whose joints stay within their ranges along every bead, however they are turned, the cheapest one."""

@@ -231,7 +231,7 @@ print("done")
 """
 
 
-@pytest.mark.slow(keep=(4,))
+@pytest.mark.slow(keep=("4",))
 @pytest.mark.parametrize("at", range(1, 9))
 def test_what_a_killed_run_left_is_put_right_by_the_next(at: int, tmp_path: Path) -> None:
     """Old: plan.json, Logo.mod (edited), report.html, the manifest; each move of the exchange is the last thing done."""

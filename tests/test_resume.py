@@ -89,6 +89,7 @@ def failed(plan: Plan, trajectory: Trajectory) -> set[str]:
     return {check.name for check in checks if not check.ok}
 
 
+@pytest.mark.slow
 def test_the_rest_is_verified_and_keeps_the_numbers_of_its_beads() -> None:
     plan = resumed()
     assert whole().verified and plan.verified

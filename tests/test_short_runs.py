@@ -50,6 +50,7 @@ def test_runs_are_shortened_where_the_arm_ends(tmp_path: Path) -> None:
     assert plan.metrics["at_speed_fraction"] > 0.9
 
 
+@pytest.mark.slow
 def test_only_the_run_that_is_in_the_way_is_shortened(tmp_path: Path) -> None:
     """A wall behind the line's end, as high as the nozzle's face and as near as the nozzle is wide and clear of it."""
     file = problem_at(tmp_path, 100.0)

@@ -119,6 +119,7 @@ def test_threads_do_not_outlast_an_interrupted_command(tmp_path: Path) -> None:
     assert swallowed(tmp_path, thread) == (130, "interrupted: nothing was written\n")
 
 
+@pytest.mark.slow(keep=("asleep-SIGINT", "a thread that writes-SIGTERM"))
 @pytest.mark.parametrize("number", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize(
     "what",

@@ -57,6 +57,7 @@ def missed(joints: Chain, inverse: SkewWrist, q: Array) -> Array:
     return np.asarray((nearest > 1e-5) & (sigma(joints, q) > SIGMA))
 
 
+@pytest.mark.slow(keep=("Fanuc CRX-10iA",))
 @pytest.mark.parametrize("name", ARMS)
 def test_a_posture_is_among_those_of_its_pose(name: str) -> None:
     joints, inverse = arm(name)
@@ -175,7 +176,7 @@ def test_a_postures_number_is_its_index(name: str) -> None:
     np.testing.assert_array_equal(exists, ok[0])
 
 
-@pytest.mark.slow(keep=("Yaskawa HC10",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ARMS)
 def test_a_number_seldom_changes_clear_of_singularities(name: str) -> None:
     """Along random smooth ways of 100 steps without a singularity; where it changes, it is where the arm is stretched, its

@@ -93,6 +93,7 @@ def _speed(text: dict[str, Any], arrays: dict[str, Any]) -> None:
     text["objects"][problem[1]["process"][1]][1]["travel_speed"] = ["float", (5.0).hex()]
 
 
+@pytest.mark.slow(keep=("_verdict-verdict-True",))
 @pytest.mark.parametrize(
     ("change", "part", "verified"),
     [(_joints, "trajectory", False), (_verdict, "verdict", True)],
@@ -147,6 +148,7 @@ def test_a_problem_s_file_may_change_and_a_robot_s_may_not(tmp_path: Path) -> No
     assert "changed since: cell" in failed
 
 
+@pytest.mark.slow
 def test_a_plan_from_arrays_needs_no_other_file(tmp_path: Path) -> None:
     line = np.linspace([0.0, -0.02, 0.06], [0.0, 0.02, 0.06], 41)
     plan = solve(load("peer_cap", toolpath=Toolpath.from_arrays(line, [0.0, 0.0, 1.0])), baseline=False)
@@ -160,6 +162,7 @@ def _named(home: str) -> Callable[[dict[str, Any], dict[str, Any]], object]:
     return lambda text, arrays: text["plan"].update(toolpath=[home, ["true"]])
 
 
+@pytest.mark.slow(cases=("<lambda>12",))
 @pytest.mark.parametrize(
     "change",
     [

@@ -59,6 +59,7 @@ NEVER = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "cloudpickl
 NEVER_CALLED = {"eval", "exec", "compile", "__import__", "execfile"}
 
 FILES = sorted(SOURCES.rglob("*.py"))
+MODULES = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in FILES}
 
 
 @dataclass(frozen=True)
@@ -101,9 +102,7 @@ def imports_of(path: Path) -> list[Import]:
             module = ".".join([*base, *([node.module] if node.module else [])])
             # `from planner import cell` imports the module planner.cell
             names = [f"{module}.{alias.name}" for alias in node.names]
-            inner = [name for name in names if (ROOT / name.replace(".", "/")).with_suffix(".py").exists()]
-            inner += [name for name in names if (ROOT / name.replace(".", "/") / "__init__.py").exists()]
-            out.extend(Import(name, node.lineno, typing_only) for name in inner or [module])
+            out.extend(Import(name, node.lineno, typing_only) for name in MODULES.intersection(names) or [module])
         elif isinstance(node, ast.If) and _is_type_checking(node.test):
             for child in node.body:
                 walk(child, True)

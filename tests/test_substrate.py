@@ -442,6 +442,7 @@ def test_the_command_ends_with_two(tmp_path: Path, capsys: pytest.CaptureFixture
 # Whole prints
 
 
+@pytest.mark.slow(keep=("squares",))
 @pytest.mark.parametrize("name", SHAPES[1:])
 def test_patterns_are_solved(name: str) -> None:
     small = ("layers.source.size_mm=[24, 24]", f"layers.source.pattern={name}")

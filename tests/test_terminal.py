@@ -30,7 +30,7 @@ def test_letters_that_an_encoding_lacks_become_question_marks(unbuffered: str) -
         assert done.stdout.decode(encoding).strip() == printed
 
 
-@pytest.mark.slow(keep=("1",))
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_is_said_and_changes_no_exit_code(unbuffered: str) -> None:
@@ -52,7 +52,7 @@ def test_a_full_disk_is_said_and_changes_no_exit_code(unbuffered: str) -> None:
     assert done.returncode == 2 and done.stdout == ""
 
 
-@pytest.mark.slow(keep=("1",))
+@pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_pipe_whose_reader_has_gone_is_no_failure(unbuffered: str) -> None:
     reader, writer = os.pipe()

@@ -36,6 +36,7 @@ def normals_of_the_cylinder(tips: Array) -> Array:
     return np.column_stack([away / np.linalg.norm(away, axis=1)[:, None], np.zeros(len(tips))])
 
 
+@pytest.mark.slow
 def test_the_lean_is_that_of_the_joints_against_the_cylinder(plan: Plan) -> None:
     motion = executed_motion(plan.cell, plan.trajectory)
     at = plan.trajectory.deposit

@@ -334,6 +334,7 @@ def test_any_target_moved_by_two_millimetres_is_found(which: int) -> None:
     assert any("path" in difference or "travel" in difference for difference in found)
 
 
+@pytest.mark.slow(keep=("0-0", "3-26", "5-65"))
 @pytest.mark.parametrize("which", range(0, 90, 13))
 @pytest.mark.parametrize("joint", range(6))
 def test_any_joint_of_travel_that_was_moved_is_found(which: int, joint: int) -> None:

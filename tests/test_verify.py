@@ -789,6 +789,7 @@ def test_part_that_is_thicker_than_planned(plan: Plan) -> None:
 # --- what is no number -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(cases=("q-*",))
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
     ("place", "value"), [("deposit", np.nan), ("deposit", np.inf), ("travel", np.nan), ("end", np.nan)]

@@ -56,6 +56,7 @@ def area(plan: Plan) -> float:
 # --- what is right -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=("speed_demand-rounded-0.24634954084936206",))
 @pytest.mark.parametrize(
     ("section", "mm2"),
     [("rectangle", 0.3), ("rounded", 0.1 * 0.5 + np.pi * 0.25**2), ("fibre", np.pi * 0.875**2)],
@@ -99,6 +100,7 @@ def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
     return solve_it
 
 
+@pytest.mark.slow(keep=("rectangle",))
 @pytest.mark.parametrize("section", ["rectangle", "rounded"])
 def test_measures_that_vary_along_a_bead(varying: Callable[..., Plan], section: str) -> None:
     plan = varying(f"process.bead.section={section}", "process.bead.width_mm=0.9")
@@ -198,6 +200,7 @@ def test_primes_and_retracts_are_verified() -> None:
     assert found.metrics["extruded_mm"] == pytest.approx(plan.metrics["extruded_mm"] + 5.0 + 3 * 0.2, rel=1e-9)
 
 
+@pytest.mark.slow(keep=("1", "5"))
 @pytest.mark.parametrize("which", range(1, 8))
 def test_an_event_that_is_not_in_the_feed(which: int) -> None:
     plan = with_moves()
@@ -209,6 +212,7 @@ def test_an_event_that_is_not_in_the_feed(which: int) -> None:
     assert failed(plan, events=(*events[:which], more, *events[which + 1 :])) == {"filament fed"}
 
 
+@pytest.mark.slow
 def test_an_event_of_no_number_never_passes() -> None:
     plan = with_moves()
     for spoilt in ({"start": np.nan}, {"duration": np.nan}, {"amount": np.nan}, {"amount": np.inf}):
@@ -261,6 +265,7 @@ def test_fibre_that_is_not_as_long_as_its_bead() -> None:
 # --- lag ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=("0.05",))
 @pytest.mark.parametrize("lag", [0.02, 0.05, 0.1])
 def test_flow_that_lags_is_right_outside_of_lag_zones(lag: float) -> None:
     plan = solved(f"process.extruder.lag_s={lag}")

@@ -485,6 +485,7 @@ def same_beads(one: Toolpath, other: Toolpath) -> bool:
     )
 
 
+@pytest.mark.slow
 def test_facets_that_face_the_other_way_are_turned_and_told(tmp_path: Path) -> None:
     facets = boxes((SIDE, (0, 0, 3)))
     right = laid(tmp_path, facets)

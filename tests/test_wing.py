@@ -135,6 +135,7 @@ def test_points_that_swing_are_refused() -> None:
 # Layers
 
 
+@pytest.mark.slow
 def test_layers_lie_their_height_above_each_other(toolpath: Toolpath) -> None:
     """Along the normal, within 2 per cent, on either half: from any place of a layer to the one that is one further in."""
     deepest = 0
@@ -377,6 +378,7 @@ UNPRINTABLE = [
 ]
 
 
+@pytest.mark.slow(cases=("layers.support*",))
 @pytest.mark.parametrize(("change", "field", "reason"), UNPRINTABLE)
 def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reason: str) -> None:
     with pytest.raises(InputError) as caught:

@@ -103,6 +103,7 @@ def test_nearest_places_are_nearest(toolpath: Toolpath) -> None:
         assert best.fun == pytest.approx(2.5, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_normals_are_those_of_the_surface(toolpath: Toolpath) -> None:
     side, step = sides_of(toolpath)["upper"], 1e-6
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0.1, 0.9, 9), np.linspace(0.0, 1.0, 4)))
@@ -290,6 +291,7 @@ def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
         assert gap.min() > 0.4 * HEIGHT, bead.name
 
 
+@pytest.mark.slow
 def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
     """naca0015_wing names them: pva that can be washed off, and pla."""
     assert {bead.name.split()[0]: bead.material for bead in planar.beads} == {"support": "pva", "layer": "pla"}
