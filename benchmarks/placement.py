@@ -23,7 +23,7 @@ from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.place.command import METRICS, best_of, draw_map, outcomes, words
-from planner.place.site import Asked, axes_of, place_of, site_of
+from planner.place.site import StudyRequest, axes_of, place_of, site_of
 from planner.place.study import PlaceOutcome, crew_of, study
 from planner.problem import load_problem
 
@@ -44,7 +44,7 @@ def rows(name: str, overrides: list[str], maps: Path | None) -> list[list[str]]:
     """Two lines of the table: as the problem stands, and the best verified place."""
     start = time.process_time()
     problem = load_problem(name, overrides)
-    cell, asked = build_cell(problem), Asked(name, tuple(overrides))
+    cell, asked = build_cell(problem), StudyRequest(name, tuple(overrides))
     site = site_of(asked, problem, cell, axes_of(problem, cell, place_of(problem), None, []))
     with crew() as over:
         alone = crew_of(asked, site, over, beside=False)

@@ -14,7 +14,7 @@ from planner.cell.looks import bodies_surface, link_surface
 from planner.cell.robot import Robot, joint_axes, read_robot, robot_names
 from planner.cell.shells import MOST_FILLET, casting
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, triangles_of
-from planner.cell.surfaces import Surface, creased, decimated, rgb, solid_surface
+from planner.cell.surfaces import TriangleSurface, creased, decimated, rgb, solid_surface
 from planner.problem import load_problem
 from planner.verify.drawing import cell_view
 
@@ -24,7 +24,7 @@ ARMS = [key for key in SHELLS if key not in ("irbp_a250", "track_3m", "gantry_xy
 COVERED = 3.1e-3  # m: how far covers stand out of what they are on
 
 
-def links(robot: Robot) -> list[tuple[int, list[Body], Surface]]:
+def links(robot: Robot) -> list[tuple[int, list[Body], TriangleSurface]]:
     """Joint, bodies and surface of each link."""
     out = []
     for i, bodies in enumerate(robot.bodies):
@@ -56,7 +56,7 @@ def outside(bodies: list[Body], points: np.ndarray) -> np.ndarray:
     return np.min(found, axis=0)
 
 
-def crossings(surface: Surface, start: np.ndarray, way: np.ndarray) -> int:
+def crossings(surface: TriangleSurface, start: np.ndarray, way: np.ndarray) -> int:
     """How many triangles a ray meets."""
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))
     across = np.cross(way, c - a)

@@ -30,8 +30,8 @@ from planner.place.rating import (
 )
 from planner.place.search import Axis, ScoredPoint, lattice, one_by_one, polish, well_apart
 from planner.place.site import (
-    Asked,
     PartPlace,
+    StudyRequest,
     axes_of,
     changed_fields,
     moved_cell,
@@ -455,7 +455,7 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_pieces_done_elsewhere_are_the_pieces_done_here(tmp_path: Path) -> None:
     """Another process has but the words of the command; it reads the files itself, and says so if they differ."""
     file = write_small(tmp_path, *BED)
-    asked = Asked(str(file), ranges=("x=-400:-380", "y=370:390"))
+    asked = StudyRequest(str(file), ranges=("x=-400:-380", "y=370:390"))
     problem = load_problem(file)
     cell, now = build_cell(problem), place_of(problem)
     site = site_of(asked, problem, cell, axes_of(problem, cell, now, None, asked.ranges))

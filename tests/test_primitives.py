@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import bed_plan, small_plan
 
-from planner.export.arcs import Segments, segments
+from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import angle, continuous, from_matrix, lean_and_roll, slerp
 from planner.export.moves import (
     AXIS_TOLERANCE,
@@ -65,7 +65,7 @@ def fitted(way: SampledWay, kept: list[int], rules: FitRules = ARCS) -> Fitted:
     return fit(way, np.array(kept[:-1]), np.array(kept[1:]), rules)
 
 
-def ways_of(way: SampledWay, found: Fitted, first: int = 0) -> tuple[Indices, Segments]:
+def ways_of(way: SampledWay, found: Fitted, first: int = 0) -> tuple[Indices, LinesAndArcs]:
     """All targets, and the lines and arcs between them, by other code than that which chose them."""
     sample = np.concatenate([[first], found.sample])
     p = way.pose[sample, :3]

@@ -271,6 +271,28 @@ def test_functions_of_resolution_and_placement_have_few_parameters() -> None:
     assert not wrong
 
 
+def test_a_class_has_a_name_of_its_own() -> None:
+    where: dict[str, list[str]] = {}
+    for path in FILES:
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.ClassDef):
+                where.setdefault(node.name, []).append(f"{dotted(path)}:{node.lineno}")
+    assert not {name: places for name, places in where.items() if len(places) > 1}
+
+
+def test_what_is_public_says_what_it_is() -> None:
+    """But for methods of a class with a base: there the base's are described."""
+    wrong = []
+    for path in FILES:
+        classes = [node for node in tree(path).body if isinstance(node, ast.ClassDef)]
+        plain = {"Protocol", "NamedTuple"}
+        alone = [c for c in classes if c.name[0] != "_" and {ast.unparse(base) for base in c.bases} <= plain]
+        for node in [each for owner in (tree(path), *alone) for each in owner.body]:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                wrong += [] if ast.get_docstring(node) else [f"{dotted(path)}:{node.lineno} {node.name}"]
+    assert not wrong
+
+
 def test_dataclasses_are_frozen() -> None:
     wrong = []
     for path in FILES:

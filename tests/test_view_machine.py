@@ -23,8 +23,8 @@ from planner.view.machine import (
     Read,
     ReadFiles,
     Remove,
+    ReportReady,
     Shown,
-    Solved,
     SolveOutcome,
     Staged,
     Start,
@@ -54,7 +54,7 @@ def solved_once(*panes: str) -> View:
     """A view whose panes have all been solved with the slow content."""
     view, _ = after(View(panes=panes), Read(SLOW, "10:00"))
     for number in range(1, len(panes) + 1):
-        view, _ = after(view, Solved(number, GOOD, "10:01"))
+        view, _ = after(view, ReportReady(number, GOOD, "10:01"))
     return view
 
 
@@ -99,7 +99,7 @@ def test_newer_save_ends_the_solve_that_runs() -> None:
     view, effects = after(view, Read(FAST, "10:01"))
     assert effects == [Cancel(), Start(view.running)]
     assert view.running is not None and view.running.number == 2
-    late, effects = after(view, Staged(1, "verify"), Solved(1, GOOD, "10:02"))
+    late, effects = after(view, Staged(1, "verify"), ReportReady(1, GOOD, "10:02"))
     assert (late, effects) == (view, [Remove("1-whole")])
     assert after(view, Broke(1, WRONG)) == (view, [])
 
@@ -125,10 +125,10 @@ def test_nothing_starts_while_the_file_is_wrong() -> None:
 
 
 def test_draft_is_shown_and_gives_way_to_the_whole() -> None:
-    view, effects = after(View(panes=("sqp",)), Read(SLOW, "10:00"), Solved(1, DRAFT, "10:01"))
+    view, effects = after(View(panes=("sqp",)), Read(SLOW, "10:00"), ReportReady(1, DRAFT, "10:01"))
     assert effects == [] and view.history == () and view.running is not None
     assert snapshot(view, "a", "a.yaml")["panes"][0]["result"]["draft"] == "one layer of 10"
-    view, effects = after(view, Solved(1, GOOD, "10:02"))
+    view, effects = after(view, ReportReady(1, GOOD, "10:02"))
     assert effects == [Remove("1-draft")] and view.running is None
     assert [entry.outcome for entry in view.history] == [GOOD]
 
@@ -137,7 +137,7 @@ def test_panes_are_solved_one_after_the_other_and_compared() -> None:
     view, effects = after(solved_once("sqp"), Beside("ladder"))
     assert effects == [Start(view.running)]
     assert snapshot(view, "a", "a.yaml")["differences"] == []
-    view, _ = after(view, Solved(2, BETTER, "10:02"))
+    view, _ = after(view, ReportReady(2, BETTER, "10:02"))
     rows = {row["label"]: row for row in snapshot(view, "a", "a.yaml")["differences"]}
     at_speed, time = rows["length at commanded speed (±2 %), %"], rows["print time, s"]
     assert (at_speed["left"], at_speed["right"], at_speed["better"]) == ("90.00", "95.00", "right")
@@ -167,7 +167,7 @@ def test_pane_follows_the_strategy_of_the_file() -> None:
 
 
 def test_history_says_what_was_changed_and_what_it_did() -> None:
-    view, _ = after(solved_once("sqp"), Read(FAST, "10:02"), Solved(2, BETTER, "10:03"))
+    view, _ = after(solved_once("sqp"), Read(FAST, "10:02"), ReportReady(2, BETTER, "10:03"))
     newest, first = snapshot(view, "a", "a.yaml")["history"]["rows"]
     assert first["changes"] is None
     assert newest["changes"] == ["process.speed_mm_s: 5 → 10"]
@@ -176,8 +176,8 @@ def test_history_says_what_was_changed_and_what_it_did() -> None:
 
 
 def test_history_compares_with_the_last_solve_of_the_same_strategy() -> None:
-    view, _ = after(solved_once("sqp"), Choose(0, "ladder"), Solved(2, BETTER, "10:02"), Read(FAST, "10:03"))
-    view, _ = after(view, Solved(3, BETTER, "10:04"), Choose(0, "sqp"), Solved(4, GOOD, "10:05"))
+    view, _ = after(solved_once("sqp"), Choose(0, "ladder"), ReportReady(2, BETTER, "10:02"), Read(FAST, "10:03"))
+    view, _ = after(view, ReportReady(3, BETTER, "10:04"), Choose(0, "sqp"), ReportReady(4, GOOD, "10:05"))
     rows = snapshot(view, "a", "a.yaml")["history"]["rows"]
     assert [(row["strategy"], row["changes"]) for row in rows] == [
         ("sqp", ["process.speed_mm_s: 5 → 10"]),
@@ -191,7 +191,7 @@ def test_history_and_results_stay_bounded() -> None:
     view, removed = View(panes=("sqp",)), 0
     for k in range(1, MOST_ENTRIES + 20):
         view, _ = after(view, Read(Content((("speed", str(k)),)), "10:00"))
-        view, effects = after(view, Solved(k, GOOD, "10:01"))
+        view, effects = after(view, ReportReady(k, GOOD, "10:01"))
         removed += len(effects)
     assert len(view.history) == MOST_ENTRIES
     assert len(view.results) == 1 and removed == MOST_ENTRIES + 18
@@ -234,7 +234,7 @@ EVENTS = st.one_of(
     st.builds(Tick, st.floats(0, 20)),
     st.builds(Read, st.sampled_from([SLOW, FAST, WRONG]), st.just("10:00")),
     st.builds(Staged, NUMBERS, st.just("resolve")),
-    st.builds(Solved, NUMBERS, st.sampled_from([GOOD, DRAFT]), st.just("10:00")),
+    st.builds(ReportReady, NUMBERS, st.sampled_from([GOOD, DRAFT]), st.just("10:00")),
     st.builds(Broke, NUMBERS, st.sampled_from([WRONG, Mistake("ended early")])),
     st.builds(Choose, st.integers(-1, 2), NAMES),
     st.builds(Beside, st.one_of(st.none(), NAMES)),
@@ -249,7 +249,7 @@ def test_one_solve_at_a_time_whatever_happens(events: list[Event]) -> None:
     """Starts and ends of solves alternate, shown reports are never removed, and the page can always be told."""
     view, running = View(panes=("sqp",)), False
     for event in events:
-        ended = isinstance(event, Broke) or (isinstance(event, Solved) and not event.outcome.draft)
+        ended = isinstance(event, Broke) or (isinstance(event, ReportReady) and not event.outcome.draft)
         if ended and view.running is not None and view.running.number == event.job:  # type: ignore[union-attr]
             running = False
         view, effects = step(view, event)

@@ -18,7 +18,7 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.scanlines import linked
 from planner.toolpath.wing.section import naca_section, section_through
 from planner.toolpath.wing.sheet_solid import SheetSolid
-from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, LoftedSide
+from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, LoftedSide, SpanIntervals
 
 Array = NDArray[np.float64]
 HEIGHT = WIDTH = 0.5e-3
@@ -307,7 +307,7 @@ def test_rows_are_linked_where_one_faces_one() -> None:
 
 
 def test_areas_are_straight_between_stations() -> None:
-    area = Area.of(np.array([0.0, 1.0, 2.0]), [[(0.0, 4.0)], [(1.0, 3.0)], []])
+    area = SpanIntervals.of(np.array([0.0, 1.0, 2.0]), [[(0.0, 4.0)], [(1.0, 3.0)], []])
     assert area.at(np.array([0.5, 1.4, 1.6]))[:, 0] == pytest.approx(
         np.array([[0.5, 3.5], [1.0, 3.0], [np.nan, np.nan]]), nan_ok=True
     )

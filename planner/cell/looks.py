@@ -19,7 +19,7 @@ from planner.cell.bodies import read_mesh
 from planner.cell.collada import read_collada
 from planner.cell.shells import castable, casting, covers
 from planner.cell.solids import Body, Look
-from planner.cell.surfaces import Surface, creased, decimated, joined, rgb, solid_surface
+from planner.cell.surfaces import TriangleSurface, creased, decimated, joined, rgb, solid_surface
 from planner.cell.urdf import FARTHEST
 
 PLAIN, TRIM = "#d9dde2", "#6a727b"  # of what has no colour of its own, and of covers on joints
@@ -28,7 +28,7 @@ LEAST_STEP = 2.5e-3  # m
 LARGEST_CAST = 1.7  # m: what is larger is built of beams, not cast
 
 
-def link_surface(bodies: Sequence[Body], looks: Sequence[Look], axes: Array | None) -> Surface:
+def link_surface(bodies: Sequence[Body], looks: Sequence[Look], axes: Array | None) -> TriangleSurface:
     """What a link looks like, in the frame that carries it.
 
     bodies, looks  of the link; without looks, or where one cannot be read, its bodies are drawn
@@ -47,12 +47,12 @@ def link_surface(bodies: Sequence[Body], looks: Sequence[Look], axes: Array | No
     return joined([shell, bodies_surface(caps)]) if caps else shell
 
 
-def bodies_surface(bodies: Sequence[Body], colour: str = PLAIN) -> Surface:
+def bodies_surface(bodies: Sequence[Body], colour: str = PLAIN) -> TriangleSurface:
     """Bodies as they are, in the frame that carries them, in their own colours or in one."""
     return joined([solid_surface(body.solid, body.colour or colour).moved(body.T_frame_solid) for body in bodies])
 
 
-def _mesh_surface(look: Look) -> Surface:
+def _mesh_surface(look: Look) -> TriangleSurface:
     vertices, triangles, colours = _mesh(look.file)
     if look.colour:
         colours = np.tile(rgb(look.colour), (len(triangles), 1))

@@ -16,7 +16,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.cell.solids import Body, Box, Capsule, Frustum
-from planner.cell.surfaces import Surface, rgb, rounding
+from planner.cell.surfaces import TriangleSurface, rgb, rounding
 
 CELLS, MOST_CELLS = 26, 60  # along the longest side of a link; the more, the thinner its thinnest solid is
 THIN = 0.8  # of half that thickness: a cell at most
@@ -37,7 +37,7 @@ _STEP = 1e-4  # m, of differences
 Distance = Callable[[Array], Array]
 
 
-def casting(bodies: Sequence[Body], axes: Array) -> Surface:
+def casting(bodies: Sequence[Body], axes: Array) -> TriangleSurface:
     """Shell of a link's solids: boxes, cylinders, capsules and balls.
 
     axes (k, 6)  of the joints that carry the link and that it carries: a point of each and its direction, in the frame of
@@ -63,7 +63,7 @@ def casting(bodies: Sequence[Body], axes: Array) -> Surface:
         normals = _slope(whole, vertices)
     nearest = np.argmin([part(vertices) for part in parts], axis=0)
     colours = np.array([rgb(body.colour) for body in bodies])[nearest]
-    return Surface(vertices, normals, triangles, colours)
+    return TriangleSurface(vertices, normals, triangles, colours)
 
 
 def covers(bodies: Sequence[Body], axes: Array, colour: str) -> list[Body]:

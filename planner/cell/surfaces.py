@@ -24,7 +24,7 @@ _AROUND = 32  # corners of a circle
 
 
 @dataclass(frozen=True)
-class Surface(ReadOnlyArrays):
+class TriangleSurface(ReadOnlyArrays):
     """Triangles of a surface, counter-clockwise seen from outside.
 
     vertices (n, 3) [m]; normals (n, 3) of unit length; triangles (m, 3) indices of vertices; colours (n, 3) 8-bit RGB
@@ -35,10 +35,10 @@ class Surface(ReadOnlyArrays):
     triangles: Ints
     colours: NDArray[np.uint8]
 
-    def moved(self, T: Array) -> Surface:
+    def moved(self, T: Array) -> TriangleSurface:
         """The same at a rigid transform (4, 4)."""
         turn = T[:3, :3]
-        return Surface(self.vertices @ turn.T + T[:3, 3], self.normals @ turn.T, self.triangles, self.colours)
+        return TriangleSurface(self.vertices @ turn.T + T[:3, 3], self.normals @ turn.T, self.triangles, self.colours)
 
 
 def rgb(colour: str) -> NDArray[np.uint8]:
@@ -46,10 +46,10 @@ def rgb(colour: str) -> NDArray[np.uint8]:
     return np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)], dtype=np.uint8)
 
 
-def joined(surfaces: Sequence[Surface]) -> Surface:
+def joined(surfaces: Sequence[TriangleSurface]) -> TriangleSurface:
     """Several surfaces as one."""
     first = np.cumsum([0, *(len(each.vertices) for each in surfaces)])
-    return Surface(
+    return TriangleSurface(
         np.concatenate([each.vertices for each in surfaces]),
         np.concatenate([each.normals for each in surfaces]),
         np.concatenate([each.triangles + at for each, at in zip(surfaces, first, strict=False)]),
@@ -57,7 +57,7 @@ def joined(surfaces: Sequence[Surface]) -> Surface:
     )
 
 
-def solid_surface(solid: Solid, colour: str) -> Surface:
+def solid_surface(solid: Solid, colour: str) -> TriangleSurface:
     """A solid's surface, the edges of boxes and cylinders a little rounded: never outside the solid."""
     if isinstance(solid, Box):
         vertices, normals, triangles = _rounded_box(np.asarray(solid.size))
@@ -71,7 +71,7 @@ def solid_surface(solid: Solid, colour: str) -> Surface:
         )
     else:
         return creased(*triangles_of(solid), np.tile(rgb(colour), (len(triangles_of(solid)[1]), 1)))
-    return Surface(vertices, normals, triangles, np.tile(rgb(colour), (len(vertices), 1)))
+    return TriangleSurface(vertices, normals, triangles, np.tile(rgb(colour), (len(vertices), 1)))
 
 
 def rounding(solid: ConvexSolid | Mesh) -> float:
@@ -83,7 +83,7 @@ def rounding(solid: ConvexSolid | Mesh) -> float:
     return 0.0
 
 
-def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> Surface:
+def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> TriangleSurface:
     """Vertices (n, 3) and triangles (m, 3) with normals that are smooth but where facets meet at an angle.
 
     colours (m, 3): of the triangles
@@ -110,7 +110,7 @@ def creased(vertices: Array, triangles: Ints, colours: NDArray[np.uint8]) -> Sur
     # corners that agree are one again
     keys = np.column_stack([vertex, np.round(normal * 64.0).astype(np.int64), colour])
     _, kept, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return Surface(vertices[vertex[kept]], normal[kept], index.reshape(-1, 3), colour[kept])
+    return TriangleSurface(vertices[vertex[kept]], normal[kept], index.reshape(-1, 3), colour[kept])
 
 
 def decimated(vertices: Array, triangles: Ints, step: float) -> tuple[Array, Ints, Ints]:

@@ -12,7 +12,7 @@ TINY = 1e-12  # m, and m^2: keeps what has no length from dividing by nothing
 
 
 @dataclass(frozen=True)
-class Segments:
+class LinesAndArcs:
     """n straight lines and circular arcs in space.
 
     begin, end      (n, 3) [m]
@@ -36,9 +36,9 @@ class Segments:
         out: Array = np.where(self.circular, self.radius * self.swept, np.linalg.norm(self.end - self.begin, axis=1))
         return out
 
-    def take(self, rows: Indices) -> Segments:
+    def take(self, rows: Indices) -> LinesAndArcs:
         """The segments of rows (k)."""
-        return Segments(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+        return LinesAndArcs(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def at(self, u: Array) -> Array:
         """Points (n, 3) at fractions u (n) of the length."""
@@ -78,7 +78,7 @@ class Segments:
         return out
 
 
-def segments(begin: Array, via: Array, end: Array, circular: Flags) -> Segments:
+def segments(begin: Array, via: Array, end: Array, circular: Flags) -> LinesAndArcs:
     """Lines from `begin` to `end` (n, 3), and arcs through `via` (n, 3) where `circular` (n).
 
     An arc whose three points lie on a line, or coincide, is the line.
@@ -102,7 +102,7 @@ def segments(begin: Array, via: Array, end: Array, circular: Flags) -> Segments:
     e2 = first / np.maximum(np.linalg.norm(first, axis=1), TINY)[:, None]
     flat = ~round_[:, None]
     zero = np.zeros(3)
-    return Segments(
+    return LinesAndArcs(
         begin=begin,
         end=end,
         circular=round_,

@@ -456,7 +456,7 @@ def read_krl(source: str, data: str, forward: Forward, further: Mapping[str, str
     with the line for a statement or name that is not known, or that stands where it must not.
     """
     title, frames, start = _data(data)
-    run = _Run(start)
+    run = _KrlRun(start)
     bodies = _subprogram_bodies(source, title)
     files = {title: set(bodies)}
     for name, text in (further or {}).items():
@@ -530,7 +530,7 @@ def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
     return bodies
 
 
-class _Run:
+class _KrlRun:
     """What the statements of a program do, one after the other."""
 
     def __init__(self, start: list[float]) -> None:

@@ -291,7 +291,7 @@ def read_melfa(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
         bodies[name], places[name] = _program(text, name)
     if main not in bodies:
         raise InputError(f"there is no program {main}", file=GRAMMAR.file)
-    run = _Run(np.linalg.inv(MITSUBISHI.part(plan.cell)).astype(np.float64))
+    run = _MelfaRun(np.linalg.inv(MITSUBISHI.part(plan.cell)).astype(np.float64))
     for statement in inlined(bodies, main, "program"):
         run.take(statement, places[statement.file])
     run.near = 0.0
@@ -302,7 +302,7 @@ def read_melfa(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
     return read_arm(main, run.steps, run.tool, part, forward_of(plan.cell, MITSUBISHI), GRAMMAR.file), run.said
 
 
-class _Run:
+class _MelfaRun:
     """What the statements do, one after the other."""
 
     def __init__(self, T_part_base: Array) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.arcs import Segments, segments
+from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp, to_matrix
 from planner.export.primitives import FitRules, Poses, SampledWay, fit, misfits
 from planner.export.speeds import TIME_TOLERANCE, even_speeds
@@ -286,7 +286,7 @@ class Moves:
         return len(self.sample)
 
     @property
-    def segments(self) -> Segments:
+    def segments(self) -> LinesAndArcs:
         """The lines and arcs between targets; of joint moves, the line."""
         p = self.targets.position
         return segments(p[:-1], self.via.position, p[1:], self.circular)
@@ -571,7 +571,7 @@ STEP = 1e-6  # [m] to which radii are rounded down
 NEAR_REST = 0.05e-3  # [m] between the place of a rest and a target where the program stops
 
 
-def blend_radii(primitives: Segments, stops: Flags, tolerance: Array) -> Array:
+def blend_radii(primitives: LinesAndArcs, stops: Flags, tolerance: Array) -> Array:
     """Largest radii (m + 1) [m] at the ends of m primitives that share no part of one and leave each end by at most its
     tolerance (m + 1).
 
@@ -620,7 +620,7 @@ def blend_differences(plan: Plan, program: RobotProgram) -> list[str]:
     return found
 
 
-def corners(primitives: Segments) -> tuple[Array, Array]:
+def corners(primitives: LinesAndArcs) -> tuple[Array, Array]:
     """The shorter of both primitives at each of their ends (m + 1) [m], 0 at both ends of all, and by how much they turn
     there (m + 1) [rad]."""
     length = primitives.length

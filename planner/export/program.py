@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
-from planner.export.arcs import Segments, segments
+from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import continuous, slerp
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class RobotProgram:
         return self.position if self.arcs is None else np.where(np.isnan(self.arcs), self.position, self.arcs)
 
     @property
-    def segments(self) -> Segments:
+    def segments(self) -> LinesAndArcs:
         """The lines and arcs (m - 1) from each target to the next; of joint moves, the line."""
         p = self.position
         return segments(p[:-1], self.via[1:], p[1:], self.circular[1:])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
-from planner.export.arcs import Segments, segments
+from planner.export.arcs import LinesAndArcs, segments
 from planner.export.external import external_read, external_written
 from planner.export.fit import angle, continuous, lean_and_roll, lerp, slerp, to_matrix
 from planner.export.moves import (
@@ -230,7 +230,7 @@ class _Match:
     """
 
     all: ProgramPiece
-    ways: Segments
+    ways: LinesAndArcs
     targets: Indices
     cuts: Indices
     piece: Indices

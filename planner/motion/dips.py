@@ -46,7 +46,7 @@ _NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
 
 
 @dataclass(frozen=True)
-class _Line:
+class _BeadContext:
     """What all dips of a bead share: the task's geometry by its samples' index, and the drawn path's corners (k, 3),
     joints' names and their velocity, acceleration and jerk limits (nj, 3), and those that slide."""
 
@@ -96,7 +96,7 @@ def find_dips(
         return ()
     cut = np.flatnonzero((np.diff(slow) > MERGE + 1) | (np.diff(t.bead[slow]) != 0)) + 1
     dips = []
-    line: _Line | None = None
+    line: _BeadContext | None = None
     for first, last in zip(slow[np.append(0, cut)], slow[np.append(cut - 1, -1)], strict=True):
         i = int(t.bead[first])
         if line is None or line.path.task.bead != i:
@@ -105,10 +105,10 @@ def find_dips(
     return tuple(dips)
 
 
-def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _Line:
+def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _BeadContext:
     limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
     corners = bead.source[_turns(bead.source, tolerance) > CORNER]
-    return _Line(path, bead, spline_of(path), corners, cell.joint_names, limits, cell.limits.sliding)
+    return _BeadContext(path, bead, spline_of(path), corners, cell.joint_names, limits, cell.limits.sliding)
 
 
 def _turns(path: Array, reach: float) -> Array:
@@ -122,7 +122,7 @@ def _turns(path: Array, reach: float) -> Array:
     return np.arctan2(np.linalg.norm(np.cross(come, leave), axis=1), (come * leave).sum(axis=1))
 
 
-def _dip(problem: Problem, line: _Line, t: Trajectory, first: int, last: int) -> Dip:
+def _dip(problem: Problem, line: _BeadContext, t: Trajectory, first: int, last: int) -> Dip:
     """The dip between two samples, both included."""
     rows = slice(first, last + 1)
     at = first + int(np.argmin(t.speed[rows]))
@@ -160,7 +160,7 @@ def _over_extruded(process: ProcessSpec, bead: Bead, t: Trajectory, rows: slice,
     return over if abs(over) > _NEGLIGIBLE * held else 0.0
 
 
-def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tuple[Remedy, ...]]:
+def _cause(problem: Problem, line: _BeadContext, dip: _Stretch) -> tuple[str, str, tuple[Remedy, ...]]:
     """Joint, limit and remedies of a dip."""
     task = line.path.task
     if any(dip.low <= stop.s <= dip.high for stop in task.stops):
@@ -181,7 +181,9 @@ def _cause(problem: Problem, line: _Line, dip: _Stretch) -> tuple[str, str, tupl
     return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
 
 
-def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
+def _remedies(
+    problem: Problem, line: _BeadContext, dip: _Stretch, ceilings: Array, places: Array
+) -> tuple[Remedy, ...]:
     """What would let the commanded speed be held where ceilings (k, nj, 3) are below it: speed, limits, geometry."""
     speed = line.path.task.speed
     slowest = ceilings.min(axis=(1, 2))
@@ -204,7 +206,9 @@ def _remedies(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, pla
     return (*out, *_larger_shape(problem, line, dip, ceilings, places))
 
 
-def _larger_shape(problem: Problem, line: _Line, dip: _Stretch, ceilings: Array, places: Array) -> tuple[Remedy, ...]:
+def _larger_shape(
+    problem: Problem, line: _BeadContext, dip: _Stretch, ceilings: Array, places: Array
+) -> tuple[Remedy, ...]:
     """The run or the corner tolerance at which the commanded speed may be held, where these shape the path.
 
     Along a larger run all speeds grow, with its square root where accelerations limit them. In a larger corner the

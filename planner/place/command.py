@@ -23,7 +23,7 @@ from planner.base.errors import EXIT_VERIFIED, OutputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.cell.cell import build_cell
-from planner.place.site import ANGLES, FREEDOMS, Asked, PartPlace, axes_of, changed_fields, place_of, site_of
+from planner.place.site import ANGLES, FREEDOMS, PartPlace, StudyRequest, axes_of, changed_fields, place_of, site_of
 from planner.place.study import Crew, PlaceOutcome, Slice, Study, crew_of, study
 from planner.planning.context import found_anywhere
 from planner.planning.options import add_problem, add_set, add_spread, add_strategy
@@ -180,7 +180,9 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         target = folder / f"{problem.file.stem}_placed.yaml"
         if target.exists():  # before anything is computed
             raise OutputError(f"{target} is there already, and stays as it is: remove it, or choose another --out")
-        asked = Asked(found_anywhere(problem), tuple(options.set), options.strategy, options.free, tuple(options.range))
+        asked = StudyRequest(
+            found_anywhere(problem), tuple(options.set), options.strategy, options.free, tuple(options.range)
+        )
         axes = axes_of(problem, cell, place_of(problem), options.free, options.range)
         beside = options.jobs > 1 or options.scheduler is not None
         # a folder that cannot be written, and a scheduler that does not answer, are told at once

@@ -223,7 +223,7 @@ FOOT_SHARE = 0.25  # of the reach: so near to the arm's first axis stands its fo
 
 
 @dataclass(frozen=True)
-class Asked:
+class StudyRequest:
     """What a study is asked for, in the command's words; `problem` is a name, or a path from the root."""
 
     problem: str
@@ -292,7 +292,7 @@ class Site:
         return score(moved, course, self.problem.resolve.min_sigma, floor, self.around.nearly)
 
 
-def site_of(asked: Asked, problem: Problem, cell: Cell, axes: Sequence[Axis]) -> Site:
+def site_of(asked: StudyRequest, problem: Problem, cell: Cell, axes: Sequence[Axis]) -> Site:
     """The site of a problem that was loaded. Raises InputError for what its files say of the toolpath."""
     toolpath = build_toolpath(problem)
     strategy = asked.strategy or problem.strategy
@@ -302,7 +302,7 @@ def site_of(asked: Asked, problem: Problem, cell: Cell, axes: Sequence[Axis]) ->
 
 
 @lru_cache(maxsize=1)
-def own_site(asked: Asked, digest: str) -> Site:
+def own_site(asked: StudyRequest, digest: str) -> Site:
     """The same site in another process. Raises InputError where its files say something else there."""
     problem = load_problem(asked.problem, asked.overrides)
     cell = build_cell(problem)

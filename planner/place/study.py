@@ -16,7 +16,7 @@ from planner.base.errors import PlannerError, Refusal
 from planner.cell.cell import Cell
 from planner.place.rating import COMFORT, Rating, rate, score_of_paths
 from planner.place.search import Axis, Point, ScoredPoint, lattice, one_by_one, polish, well_apart
-from planner.place.site import ANGLES, Asked, PartPlace, Site, changed_fields, own_site, reach
+from planner.place.site import ANGLES, PartPlace, Site, StudyRequest, changed_fields, own_site, reach
 from planner.planning.pipeline import try_out
 from planner.resolve.strategies import STRATEGIES
 
@@ -47,7 +47,7 @@ class PlaceOutcome:
         return least * m["ideal_deposition_time_s"] / m["deposition_time_s"]
 
 
-def crew_of(asked: Asked, site: Site, over: Spread, beside: bool) -> Crew:
+def crew_of(asked: StudyRequest, site: Site, over: Spread, beside: bool) -> Crew:
     """Who does the pieces of a site's study; `beside`: in other processes, which read the site's files themselves.
 
     An error of a piece is raised once it comes.
@@ -68,7 +68,7 @@ def crew_of(asked: Asked, site: Site, over: Spread, beside: bool) -> Crew:
     return crew
 
 
-def _elsewhere(item: tuple[Asked, str, str, Any]) -> Any:
+def _elsewhere(item: tuple[StudyRequest, str, str, Any]) -> Any:
     asked, digest, kind, piece = item
     return WORK[kind](own_site(asked, digest), piece)
 

@@ -40,7 +40,7 @@ _ROUNDING = 1e-12  # m, rad
 
 
 @dataclass(frozen=True)
-class Laid:
+class SpeedTotals:
     """Beads in time: length at the commanded speed, length in all [m], and how long they take [s]."""
 
     at_speed: float
@@ -112,13 +112,13 @@ def advise(
     return tuple(advice for _, advice in sorted(found, key=lambda each: each[0]))
 
 
-def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> Laid:
+def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> SpeedTotals:
     """Some beads as a trajectory lays them; commanded: speeds of all [m/s]."""
     t = trajectory
     own = t.deposit & np.isin(t.bead, list(beads))
     speed = t.speed[own]
     fast = speed >= (1.0 - SPEED_TOLERANCE) * commanded[t.bead[own]]
-    return Laid(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
+    return SpeedTotals(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
 
 
 def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[int]:
@@ -155,7 +155,9 @@ def _change(problem: Problem, kind: str, field: str, value: float, process: obje
     return Changed(kind, field, float(f"{value:.4g}"), problem.model_copy(update={"process": process}))
 
 
-def _tried(given: PlanningContext, change: Changed, beads: Sequence[int], paths: Sequence[JointPath]) -> Laid | None:
+def _tried(
+    given: PlanningContext, change: Changed, beads: Sequence[int], paths: Sequence[JointPath]
+) -> SpeedTotals | None:
     """How some beads are laid with a change; None where they have no way, or are other beads with it. At another speed the
     joints keep to their paths."""
     problem = change.problem
@@ -176,15 +178,17 @@ def _tried(given: PlanningContext, change: Changed, beads: Sequence[int], paths:
     return _laid(replace(given, problem=problem), found)
 
 
-def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> Laid:
+def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> SpeedTotals:
     """Beads timed, and judged every few milliseconds."""
     process = given.problem.process
     moving = process.hand_over == "motion"
     each = [laid(time_path(given.cell, path, (moving, moving), given.problem.resolve.timing)) for path in paths]
-    return Laid(sum(one.at_speed for one in each), sum(one.length for one in each), sum(one.time for one in each))
+    return SpeedTotals(
+        sum(one.at_speed for one in each), sum(one.length for one in each), sum(one.time for one in each)
+    )
 
 
-def laid(timed: TimedPath) -> Laid:
+def laid(timed: TimedPath) -> SpeedTotals:
     """Of one bead in time, without its runs."""
     task = timed.path.task
     low, high = float(task.s[task.first]), float(task.s[task.last])
@@ -192,4 +196,4 @@ def laid(timed: TimedPath) -> Laid:
     s = np.clip(timed.at(t)[1], low, high)
     step, dt = np.diff(s), np.diff(t)
     fast = step >= (1.0 - SPEED_TOLERANCE) * task.speed * dt
-    return Laid(float(step[fast].sum()), float(step.sum()), float(dt[step > 0.0].sum()))
+    return SpeedTotals(float(step[fast].sum()), float(step.sum()), float(dt[step > 0.0].sum()))

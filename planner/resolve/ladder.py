@@ -586,6 +586,7 @@ def coarse_nodes(
 def coarse_grid(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, most: float = np.inf
 ) -> tuple[SampledTasks, Grid]:
+    """The tasks at the settings' rungs and the grid at its steps, or at twice those if it has more than `most` nodes."""
     demand = sample_tasks(tasks, _rung(cell, tasks, settings), _turn(cell, settings))
     held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)

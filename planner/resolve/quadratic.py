@@ -283,7 +283,7 @@ def _value(H, g, A, b, at, group, price, x):
     return total
 
 
-class _Rows(NamedTuple):
+class _ProgramRows(NamedTuple):
     """The rows of a program: A (r, width), at (r) and group as in `QuadraticProgram`, chunks of `chunks_of`."""
 
     A: Array
@@ -316,7 +316,7 @@ class _Iterate(NamedTuple):
     lam_high: Array
 
 
-class _Step(NamedTuple):
+class _NewtonStep(NamedTuple):
     """A direction: of x (n), and of the iterate's s, lam (r) and slack, mu (k); the box follows from x."""
 
     x: Array
@@ -432,7 +432,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
         _centre(b, group[k], group[k + 1], price[k], start, k, s, lam, slack, mu)
     lam_low, lam_high = start / low, start / high
     here = _Iterate(s, lam, slack, mu, low, high, lam_low, lam_high)
-    rows = _Rows(A, at, group, chunks_of(at, group))
+    rows = _ProgramRows(A, at, group, chunks_of(at, group))
     residual = np.empty(n)
     dual = _residual(H, g, box, rows, x, here, residual)
     exact = True  # whether the residual was summed up, and not taken to shrink as it does but for rounding
@@ -442,7 +442,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
     newton = _Newton(U, D, S)
     dx, ds, dlam = np.empty(n), np.empty(count), np.empty(count)
     dslack, dmu = np.empty(groups), np.empty(groups)
-    step = _Step(dx, ds, dlam, dslack, dmu)
+    step = _NewtonStep(dx, ds, dlam, dslack, dmu)
     second_s, second_slack = np.zeros(count), np.zeros(groups)
     second_low, second_high = np.zeros(n), np.zeros(n)
     second = _Products(second_s, second_slack, second_low, second_high)

@@ -15,7 +15,7 @@ from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.cell.kinematics.chain import Chain, invert6, jacobian_at, mul4, rotate_about, turn
-from planner.cell.kinematics.inverse import Solver, kind_of, solver_of
+from planner.cell.kinematics.inverse import SolverAddresses, kind_of, solver_of
 from planner.collision.margins import FIRST, NO, first_lacking, head_lacking
 from planner.resolve.joint_path import SampledTasks
 
@@ -35,7 +35,7 @@ class ArmNumbers(NamedTuple):
     """
 
     kind: int
-    solver: Solver
+    solver: SolverAddresses
     parameters: Array
     solved: Ints
     T_base_world: Array

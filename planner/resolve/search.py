@@ -566,6 +566,7 @@ def greedy_route(nodes: Nodes, demand: SampledTasks, limits: Limits) -> tuple[Ro
 
 
 def ladder_numbers(nodes: Nodes, demand: SampledTasks) -> LadderNumbers:
+    """What the compiled searches need of the nodes, their grid and the tasks."""
     grid = nodes.grid
     return LadderNumbers(
         nodes.q, nodes.price, grid.roll_from, grid.holder_from, grid.periodic, grid.holder_step,

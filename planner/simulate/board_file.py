@@ -91,12 +91,12 @@ class Printed:
 
 def print_file(text: str, board: FileBoard, inputs: Mapping[int, Output] | None = None) -> Printed:
     """Let a board print a file from 0 s on; inputs by their numbers, which are off where nothing is wired to them."""
-    run = _Run(text.splitlines(), board, inputs or {})
+    run = _FileRun(text.splitlines(), board, inputs or {})
     run.all()
     return Printed(tuple(run.moves), max(run.read, run.moved), tuple(run.warnings), run.waits)
 
 
-class _Run:
+class _FileRun:
     """A file while it is printed: `read` until when lines were read, `moved` when the last move ends [s]."""
 
     def __init__(self, lines: Sequence[str], board: FileBoard, inputs: Mapping[int, Output]) -> None:

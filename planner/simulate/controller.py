@@ -18,7 +18,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
-from planner.export.arcs import Segments
+from planner.export.arcs import LinesAndArcs
 from planner.export.player.play import play
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
@@ -73,7 +73,7 @@ class OwnClock:
     starts: Array
     ends: Array
     first: Array
-    way: Segments
+    way: LinesAndArcs
     duration: float
     happenings: tuple[MotionEvent, ...]
 

@@ -44,7 +44,7 @@ class FtpServer:
     ) -> None:
         the_faults, the_count, the_ending = Faults(faults), [0], threading.Event()
 
-        class FtpHandler(_Handler):
+        class FtpHandler(_FtpConnection):
             the_controller, the_access, faults = controller, access, the_faults
             count, ending = the_count, the_ending
 
@@ -73,7 +73,7 @@ class FtpServer:
         self._thread.join()
 
 
-class _Handler(socketserver.StreamRequestHandler):
+class _FtpConnection(socketserver.StreamRequestHandler):
     """One connection of commands."""
 
     the_controller: Controller

@@ -101,7 +101,7 @@ class RwsServer:
     ) -> None:
         self._desk = desk = _Desk(controller, access, faults)
 
-        class Handler(_Handler):
+        class Handler(_RwsConnection):
             the_desk = desk
 
         try:
@@ -430,7 +430,7 @@ def _field(form: Form, name: str) -> str:
 # HTTP.
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _RwsConnection(BaseHTTPRequestHandler):
     """One connection."""
 
     the_desk: _Desk

@@ -11,7 +11,7 @@ from planner.cell.cell import Cell
 from planner.cell.looks import bodies_surface, link_surface
 from planner.cell.robot import Robot, joint_axes
 from planner.cell.solids import Body
-from planner.cell.surfaces import Surface
+from planner.cell.surfaces import TriangleSurface
 from planner.plan import CellView
 from planner.verify.bodies import ARM, CARRIED, FIXTURE, HEAD, HOLDER, CellBodies, CheckedBody
 
@@ -35,7 +35,7 @@ def cell_view(cell: Cell) -> CellView:
     )
 
 
-def _drawn(bodies: CellBodies) -> Iterator[tuple[list[CheckedBody], Surface]]:
+def _drawn(bodies: CellBodies) -> Iterator[tuple[list[CheckedBody], TriangleSurface]]:
     """Bodies that are drawn as one, with their surface in the world, all joints at 0."""
     cell, na = bodies.cell, bodies.cell.arm_robot.model.njoints - 1
     rest = bodies.poses(np.zeros((1, len(cell.joint_names))))[0]
@@ -51,7 +51,7 @@ def _drawn(bodies: CellBodies) -> Iterator[tuple[list[CheckedBody], Surface]]:
 
 def _links(
     bodies: CellBodies, kind: str, robot: Robot, T_world_joint: Sequence[Array]
-) -> Iterator[tuple[list[CheckedBody], Surface]]:
+) -> Iterator[tuple[list[CheckedBody], TriangleSurface]]:
     """The links of a robot that have bodies, with their surfaces in the world."""
     for i, solids in enumerate(robot.bodies):
         mine = [thing for thing in bodies.things if thing.kind == kind and thing.joints == i]

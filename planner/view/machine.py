@@ -203,7 +203,7 @@ class Staged:
 
 
 @dataclass(frozen=True)
-class Solved:
+class ReportReady:
     """A solve has a report, of a draft or of all."""
 
     job: int
@@ -246,7 +246,7 @@ class Again:
     """The user wants all panes solved anew."""
 
 
-Event = Touched | Tick | Read | Shown | Staged | Solved | Broke | Choose | Beside | Drafts | Again
+Event = Touched | Tick | Read | Shown | Staged | ReportReady | Broke | Choose | Beside | Drafts | Again
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ def step(view: View, event: Event) -> Step:
             if view.running is None or view.running.number != job:
                 return view, ()
             return replace(view, running=replace(view.running, stage=stage, draft=draft)), ()
-        case Solved(job, outcome, at):
+        case ReportReady(job, outcome, at):
             return _solved(view, job, outcome, at)
         case Broke(job, mistake):
             return _broke(view, job, mistake)

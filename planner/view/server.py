@@ -316,7 +316,7 @@ class _Enter(_Open):
         )
 
 
-class _Handler(_Open):
+class _ViewHandler(_Open):
     """For whoever was let in, from the view's own page."""
 
     def prepare(self) -> None:
@@ -342,14 +342,14 @@ class _Nothing(_Open):
         raise HTTPError(404)
 
 
-class _Asset(_Handler):
+class _Asset(_ViewHandler):
     def get(self, name: str) -> None:
         file, kind = ASSETS[name]
         self.set_header("Content-Type", f"{kind}; charset=utf-8")
         self.finish(files("planner.view").joinpath(file).read_bytes())
 
 
-class _Report(_Handler):
+class _Report(_ViewHandler):
     async def get(self, key: str) -> None:
         path = self._view.report(key)
         data = None if path is None else await asyncio.to_thread(_bytes_of, path)
@@ -369,7 +369,7 @@ def _bytes_of(path: Path) -> bytes | None:
     return data if len(data) <= LARGEST_REPORT else None
 
 
-class _Events(_Handler):
+class _Events(_ViewHandler):
     def initialize(self, view: _Shared) -> None:
         super().initialize(view)
         self._woken = asyncio.Event()
@@ -405,7 +405,7 @@ class _Events(_Handler):
         self._woken.set()  # the next flush finds nobody there
 
 
-class _Do(_Handler):
+class _Do(_ViewHandler):
     def post(self) -> None:
         if self.request.headers.get("Content-Type") != "application/json":  # which no other site may send unasked
             raise HTTPError(415)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from planner.view.content import Mistake
-from planner.view.machine import Broke, Event, Solved, SolveJob, SolveOutcome, Staged
+from planner.view.machine import Broke, Event, ReportReady, SolveJob, SolveOutcome, Staged
 
 SPARE_TIME = 3.0  # s into a solve after which the next process gets ready, so that it does not hold up a short one
 LONGEST_LINE = 1_000_000  # bytes of a message
@@ -105,7 +105,7 @@ class Solver:
         told = False
         while line := await process.stdout.readline():
             event = event_of(job, json.loads(line), f"{datetime.now():%H:%M:%S}")
-            told = told or isinstance(event, Broke) or (isinstance(event, Solved) and not event.outcome.draft)
+            told = told or isinstance(event, Broke) or (isinstance(event, ReportReady) and not event.outcome.draft)
             self._take(event)
         code, words = await process.wait(), await last_words
         self.warm_up()
@@ -122,7 +122,7 @@ def event_of(job: SolveJob, message: dict[str, Any], at: str) -> Event:
     if "stage" in message:
         return Staged(job.number, message["stage"], message["draft"])
     figures = tuple((name, float(value)) for name, value in message["figures"])
-    return Solved(job.number, SolveOutcome(message["kind"], message["words"], figures, message["draft"]), at)
+    return ReportReady(job.number, SolveOutcome(message["kind"], message["words"], figures, message["draft"]), at)
 
 
 async def _new_process() -> Process:

@@ -316,7 +316,7 @@ def branches_of(kind: int) -> int:
 # Whoever calls `solve_one` compiles no kind's solver: it is called by its address, and compiled where an arm has that kind.
 
 
-class Solver(NamedTuple):
+class SolverAddresses(NamedTuple):
     """Addresses, in this process, of an arm's compiled solver.
 
     own    of its kind's closed form or search
@@ -327,15 +327,17 @@ class Solver(NamedTuple):
     whole: int
 
 
-def solver_of(inverse: InverseKinematics) -> Solver:
+def solver_of(inverse: InverseKinematics) -> SolverAddresses:
     """The solver of an arm, compiled or loaded for this process."""
     kind = kind_of(inverse)
     own = address_of(_ENTRIES[kind % CORRECTED], _OWN)
-    return Solver(own, address_of(_whole_entry, _WHOLE) if kind >= CORRECTED else 0)
+    return SolverAddresses(own, address_of(_whole_entry, _WHOLE) if kind >= CORRECTED else 0)
 
 
 @njit(cache=True)
-def solve_one(kind: int, solver: Solver, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
+def solve_one(
+    kind: int, solver: SolverAddresses, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
+) -> None:
     """Fill q (B, n) and ok (B) with the postures for one flange pose T (4, 4); B: `branches_of`.
 
     kind, solver, p  of the arm: `kind_of`, `solver_of`, `parameters`

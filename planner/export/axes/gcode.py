@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.arcs import Segments, segments
+from planner.export.arcs import LinesAndArcs, segments
 from planner.export.axes.arcs import centre_and_swept, via_point, with_arcs
 from planner.export.axes.flavours import FLAVOURS, Flavour, arcs_said, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
@@ -506,7 +506,7 @@ def _moved(
     )
 
 
-def _ways(machine: Machine, program: AxesProgram, places: Array) -> Segments:
+def _ways(machine: Machine, program: AxesProgram, places: Array) -> LinesAndArcs:
     """The tip's way in the part from each place to the next; of moves that are no arcs it is not looked at.
 
     What turns stands still on arcs, so that they are arcs in the part as well.

@@ -227,7 +227,7 @@ _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', 
 
 def read_rapid(text: str) -> RobotProgram:
     """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
-    return _Run([parse(text, GRAMMAR.file)]).program()
+    return _RapidRun([parse(text, GRAMMAR.file)]).program()
 
 
 def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
@@ -235,7 +235,7 @@ def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
 
     Raises InputError with file and line for a statement, name or shape that is not known.
     """
-    return _Run([parse(text, file) for file, text in files.items() if file.endswith(".mod")]).program()
+    return _RapidRun([parse(text, file) for file, text in files.items() if file.endswith(".mod")]).program()
 
 
 def _radians(degrees: Array) -> Array:
@@ -249,7 +249,7 @@ def _known(statement: Statement, name: str, names: Collection[str]) -> str:
     return name
 
 
-class _Run:
+class _RapidRun:
     """What the modules do, statement by statement."""
 
     def __init__(self, modules: Sequence[Module]) -> None:

@@ -196,7 +196,7 @@ def _spline(times: Array, q: Array) -> Cubics:
 
 
 @dataclass(frozen=True)
-class _Space:
+class _FreeSpace:
     cell: Cell
     room: TravelClearance
     obstacles: Obstacles
@@ -248,7 +248,7 @@ def around(
     both = np.stack([ends.start.q, ends.end.q])
     low = np.maximum(limits.q_min, both.min(axis=0) - np.pi)
     high = np.minimum(limits.q_max, both.max(axis=0) + np.pi)
-    space = _Space(cell, room, obstacles, now, margin, obstacles.swing, low, high)
+    space = _FreeSpace(cell, room, obstacles, now, margin, obstacles.swing, low, high)
     for factor in _LIFTS:
         a, b = np.hstack([lifted(cell, both, room, factor * room.lift), both[:, len(cell.arm) :]])
         if space.clear(a, a) and space.clear(b, b):
@@ -258,7 +258,7 @@ def around(
                 return
 
 
-def _connect(space: _Space, a: Array, b: Array) -> list[Array] | None:
+def _connect(space: _FreeSpace, a: Array, b: Array) -> list[Array] | None:
     rng = np.random.default_rng(0)
     here, there, turned = _Tree(a), _Tree(b), False
     for k in range(_DRAWN):
@@ -280,7 +280,7 @@ def _connect(space: _Space, a: Array, b: Array) -> list[Array] | None:
     return None
 
 
-def _shortened(space: _Space, way: list[Array]) -> list[Array]:
+def _shortened(space: _FreeSpace, way: list[Array]) -> list[Array]:
     """The way with straight moves in place of detours, where these are clear."""
     rng = np.random.default_rng(0)
     for _ in range(_SHORTCUTS):

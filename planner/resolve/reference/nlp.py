@@ -134,30 +134,37 @@ class Layout:
 
     @property
     def turn(self) -> slice:
+        """Roll, and where the axis may lean the two tilts."""
         return slice(self.joints, self.joints + 1 + self.tilts)
 
     @property
     def shares(self) -> slice:
+        """Shares of velocity, acceleration and jerk limits that each joint takes."""
         return slice(self.turn.stop, self.turn.stop + 3 * self.joints)
 
     @property
     def slack(self) -> int:
+        """What the shares may exceed 1 by."""
         return self.shares.stop
 
     @property
     def vector(self) -> slice:
+        """Singular vector of the least singular value."""
         return slice(self.slack + 1, self.slack + 7)
 
     @property
     def sigma(self) -> int:
+        """Least singular value."""
         return self.slack + 7
 
     @property
     def size(self) -> int:
+        """Variables of a sample."""
         return self.slack + 8
 
 
 def layout_of(model: Model, cones: Cones) -> Layout:
+    """The layout of a model's samples; tilts are variables only where a cone lets the axis lean."""
     return Layout(len(model.low), 2 if cones.tilt > 0.0 else 0)
 
 

@@ -40,7 +40,9 @@ class Patch(Protocol):
     """
 
     @property
-    def loops(self) -> tuple[Array, ...]: ...
+    def loops(self) -> tuple[Array, ...]:
+        """Closed polylines (m, 2) in (u, v), the outer one first."""
+        ...
 
     def points(self, uv: Array) -> Array:
         """Points (n, 3) at parameters (n, 2) [m]."""

@@ -177,7 +177,7 @@ class CoreSurface:
 
 
 @dataclass(frozen=True)
-class _Space:
+class _Cavity:
     """The facets of the body and of the middle, or the middle's height [m]."""
 
     body: FacetTree
@@ -241,21 +241,21 @@ def _check_left_out(problem: Problem, most: float, lost: float, laid: float) -> 
         raise problem.error("layers.source", reason, f"layers.source.leave_out_share: {share} leaves them out")
 
 
-def _space(problem: Problem, spec: CoreLayersSpec) -> _Space:
+def _space(problem: Problem, spec: CoreLayersSpec) -> _Cavity:
     """Body and middle from their files."""
     part = problem.part
     if part is None or part.mesh is None:
         raise problem.error("part", "is missing", "the mesh whose upper side is the core's lower surface")
     body = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
     if spec.up_to.mesh is not None:
-        return _Space(body, top_facets(spec.up_to.mesh, partial(problem.error, _MIDDLE)))
+        return _Cavity(body, top_facets(spec.up_to.mesh, partial(problem.error, _MIDDLE)))
     if spec.up_to.z is None:
         raise problem.error("layers.up_to", "is empty", "z_mm or mesh")
-    return _Space(body, spec.up_to.z)
+    return _Cavity(body, spec.up_to.z)
 
 
 def _trimmed(
-    problem: Problem, spec: CoreLayersSpec, space: _Space, paths: Sequence[PlanePath]
+    problem: Problem, spec: CoreLayersSpec, space: _Cavity, paths: Sequence[PlanePath]
 ) -> tuple[list[PlanePath], float]:
     """What of the paths lies where there may be layers, and the least room there [m]."""
     dense = [densify(path.points) for path in paths]
@@ -308,7 +308,7 @@ def _no_room(problem: Problem, reason: str) -> Exception:
 
 
 def _surface(
-    problem: Problem, spec: CoreLayersSpec, space: _Space, paths: Sequence[PlanePath], least: float
+    problem: Problem, spec: CoreLayersSpec, space: _Cavity, paths: Sequence[PlanePath], least: float
 ) -> tuple[CoreSurface, dict[str, MeshTop]]:
     """Body and middle as smooth surfaces with the same knots, near paths that keep `least` [m] between them; and the meshes
     that they are laid through, by the keys that name them."""

@@ -99,10 +99,10 @@ class MeshTop:
         that is None by FARTHEST_FROM_FACETS, or by MOST_UNASKED where they are coarse or noisy. Raises TooRoughMesh.
         """
         near = _Near.of(facets, curves, reach)
-        closest: _Step | None = None
+        closest: _SmoothedFacets | None = None
         too_far = 0.0
         for target, why in near.targets(bound):
-            steps: list[_Step] = []
+            steps: list[_SmoothedFacets] = []
             kept = _kept(near.steps(target, part), steps, near, bound)
             if kept is not None:
                 step, noisy = kept
@@ -171,7 +171,7 @@ class MeshTop:
 
 
 @dataclass(frozen=True)
-class _Step:
+class _SmoothedFacets:
     """A smooth surface with knots `apart` [m]: how far it is off what it goes through at curves (n), and off the facets.
 
     gaps   likewise from the facets (n)
@@ -257,7 +257,7 @@ class _Near:
         chosen, normals = corners[around][own], normals[own]
         return FacetTree.of(bent(chosen, normals)) if bulges(chosen, normals).max() > _COARSE else None
 
-    def steps(self, target: FacetTree, part: Part | None) -> Iterator[_Step]:
+    def steps(self, target: FacetTree, part: Part | None) -> Iterator[_SmoothedFacets]:
         """Surfaces through a target with ever more knots; none where all of it is too steep."""
         low, high = self.span
         side = float((high - low).max())
@@ -271,7 +271,7 @@ class _Near:
             flat = np.minimum(normals[:, 2], up)
             off = np.where(there, (points[:, 2] - z) * np.minimum(normals[:, 2], target.normals[found, 2]), 0.0)
             gaps = np.abs(points[:, 2] - self.z) * flat
-            yield _Step(surface, side / knots, off, gaps)
+            yield _SmoothedFacets(surface, side / knots, off, gaps)
             knots *= 2
 
     def rough(self, off: Array) -> bool:
@@ -286,7 +286,7 @@ class _Near:
         one, other = off[:-lag][pairs], off[lag:][pairs]
         return bool(len(one) > 0 and (one * other).mean() < _ROUGH * (off**2).mean())
 
-    def top(self, step: _Step, why: str, too_far: float) -> MeshTop:
+    def top(self, step: _SmoothedFacets, why: str, too_far: float) -> MeshTop:
         """The mesh with that surface."""
         points, normals = step.surface.at(self.curves)
         turned = angles_between(normals, self.facets.normals[self.found])
@@ -295,15 +295,15 @@ class _Near:
 
 
 def _kept(
-    ever_finer: Iterator[_Step], steps: list[_Step], near: _Near, bound: float | None
-) -> tuple[_Step, bool] | None:
+    ever_finer: Iterator[_SmoothedFacets], steps: list[_SmoothedFacets], near: _Near, bound: float | None
+) -> tuple[_SmoothedFacets, bool] | None:
     """Which of the surfaces is laid, and whether what it leaves out is noise; None where all are too far off.
 
     Those that were looked at are appended to `steps`.
     """
     asked = bound is not None and bound > FARTHEST_FROM_FACETS
     far = MOST_UNASKED if bound is None else bound if asked else FARTHEST_FROM_FACETS
-    best: _Step | None = None
+    best: _SmoothedFacets | None = None
     for step in ever_finer:
         before = steps[-1] if steps else None
         steps.append(step)
@@ -320,7 +320,7 @@ def _kept(
     return (best, False) if best is not None and not asked and _close(best, far) else None
 
 
-def _close(step: _Step, far: float) -> bool:
+def _close(step: _SmoothedFacets, far: float) -> bool:
     """Whether a surface is as near to what it goes through as facets need, and near enough to the facets [m]."""
     return step.most <= FARTHEST_FROM_FACETS and step.gap <= far
 

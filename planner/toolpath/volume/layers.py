@@ -228,7 +228,7 @@ def _zigzag_rows(polygon: shapely.Polygon, apart: float, least: float, aside: fl
 
 
 @dataclass(frozen=True)
-class _Line:
+class _RoundedPath:
     """A rounded path, and its material where that is not the layers'."""
 
     curve: PlaneCurve
@@ -385,16 +385,16 @@ def _foreseen(spec: VolumeLayersSpec, regions: Sequence[shapely.MultiPolygon], w
 
 def _layer_rows(
     problem: Problem, spec: VolumeLayersSpec, morph: Morph, regions: Sequence[shapely.MultiPolygon]
-) -> tuple[list[list[_Line]], list[list[PlanePath]]]:
+) -> tuple[list[list[_RoundedPath]], list[list[PlanePath]]]:
     """The rounded paths of each layer in print order, none where it is too narrow, and those that are too short."""
     process = problem.process
     width, shortest = process.bead.width, _SHORTEST * process.bead.width
     check_length(problem, _foreseen(spec, regions, width), len(regions))
     lines_of = spec.infill.material or ""
     apart = lines_of not in ("", spec.material or next(iter(process.materials), ""))
-    rows: list[list[_Line]] = []
+    rows: list[list[_RoundedPath]] = []
     short: list[list[PlanePath]] = []
-    before: list[_Line] = []
+    before: list[_RoundedPath] = []
     for layer, region in enumerate(regions):
         surface = morph.field(layer + 1)
         name = f"layer {layer + 1}"
@@ -407,14 +407,14 @@ def _layer_rows(
             groups = [[*outlines, *lines]]
         elif apart and layer % 2:  # so that the material changes once a layer
             groups.reverse()
-        row: list[_Line] = []
+        row: list[_RoundedPath] = []
         short.append([])
         for paths in groups:
             short[-1] += [path for path in paths if length(path.points) < shortest]
             long = [path for path in paths if length(path.points) >= shortest]
             curves = [_rounded(path, surface, process) for path in long]
             start = before[-1].curve.points[-1] if before else None
-            row += [_Line(curve, own.get(curve.name, "")) for curve in in_order(curves, process.order, start)]
+            row += [_RoundedPath(curve, own.get(curve.name, "")) for curve in in_order(curves, process.order, start)]
             before = row or before
         rows.append(row)
     return rows, short
@@ -427,7 +427,7 @@ def _rounded(path: PlanePath, surface: HeightField, process: ProcessSpec) -> Pla
     return round_corners(start, process.corner_tolerance, lambda points: np.full(len(points), 1.0 / stretch))
 
 
-def _lay(morph: Morph, rows: Sequence[Sequence[_Line]], width: float, share: float) -> list[Bead]:
+def _lay(morph: Morph, rows: Sequence[Sequence[_RoundedPath]], width: float, share: float) -> list[Bead]:
     """Beads `share` times as high as their layers, those of one layer after another.
 
     On a slope, lines that are `width` [m] apart in the plane are farther apart: beads are wider by as much.
@@ -505,7 +505,7 @@ def _lost(
     problem: Problem,
     spec: VolumeLayersSpec,
     regions: Sequence[shapely.MultiPolygon],
-    rows: Sequence[Sequence[_Line]],
+    rows: Sequence[Sequence[_RoundedPath]],
     short: Sequence[Sequence[PlanePath]],
 ) -> _Lost:
     """What is not printed of the regions that layers cover."""
@@ -539,7 +539,7 @@ def _area(path: PlanePath, width: float, density: float) -> float:
 
 
 def _notes(
-    name: str, morph: Morph, rows: Sequence[Sequence[_Line]], beads: Sequence[Bead], lost: _Lost
+    name: str, morph: Morph, rows: Sequence[Sequence[_RoundedPath]], beads: Sequence[Bead], lost: _Lost
 ) -> tuple[str, ...]:
     """How high layers are, and what was left out."""
     high = np.concatenate([morph.thickness.at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3

@@ -315,7 +315,7 @@ class WaypointFile:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _FileRows:
     """All waypoints of a file (n), in SI units and the part frame; columns that the file does not have are None."""
 
     points: Array
@@ -326,11 +326,11 @@ class _Rows:
     layer: Array | None
     bead: Array | None
 
-    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> _Rows:
+    def __getitem__(self, rows: slice | NDArray[np.bool_]) -> _FileRows:
         def taken(column: Array | None) -> Array | None:
             return None if column is None else column[rows].copy()
 
-        return _Rows(
+        return _FileRows(
             self.points[rows].copy(),
             self.normals[rows].copy(),
             self.lines[rows].copy(),
@@ -395,7 +395,7 @@ def _notes(name: str, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
         yield f"{name}: columns that are not used: {', '.join(each[:40] for each in unused[:8])}"
 
 
-def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
+def _rows(columns: Columns, spec: WaypointsSpec) -> _FileRows:
     """The file's columns in SI units, turned and moved into the part frame."""
     scale, values = TO_SI[spec.unit], columns.values
     points = scale * np.column_stack([values[name] for name in ("x", "y", "z")])
@@ -404,7 +404,7 @@ def _rows(columns: Columns, spec: WaypointsSpec) -> _Rows:
     normals = normals / np.linalg.norm(normals, axis=1)[:, None] * (1.0 if spec.normals == "outward" else -1.0)
     width, height = (scale * values[name] if name in values else None for name in ("width", "height"))
     moved = points + np.asarray(spec.origin)
-    return _Rows(moved, normals, columns.lines, width, height, values.get("layer"), values.get("bead"))
+    return _FileRows(moved, normals, columns.lines, width, height, values.get("layer"), values.get("bead"))
 
 
 def _upright(vectors: Array, up: str) -> Array:
@@ -452,7 +452,7 @@ def _check(columns: Columns, spec: WaypointsSpec) -> None:
             raise wrong(f"{name} is {row[name]:g}", hint=f"a whole number, {MOST_LAYERS:g} at most")
 
 
-def _changes(rows: _Rows) -> Ints:
+def _changes(rows: _FileRows) -> Ints:
     """Where a column says that another bead begins: first rows of all but the first, and how many rows there are."""
     changed = np.zeros(len(rows.points) - 1, dtype=bool)
     for column in (rows.layer, rows.bead):
@@ -466,7 +466,7 @@ def _parts(ends: Ints) -> Iterator[slice]:
     return (slice(int(a), int(b)) for a, b in zip(np.append(0, ends[:-1]), ends, strict=True))
 
 
-def _greatest_step(rows: _Rows, spec: WaypointsSpec) -> float:
+def _greatest_step(rows: _FileRows, spec: WaypointsSpec) -> float:
     """The longest step [m] that is no way to the next bead."""
     if spec.split is not None:
         return spec.split
@@ -476,13 +476,13 @@ def _greatest_step(rows: _Rows, spec: WaypointsSpec) -> float:
     return SPLIT * float(np.median(step[within])) if rows.bead is None and within.any() else math.inf
 
 
-def _split(rows: _Rows, split: float) -> list[_Rows]:
+def _split(rows: _FileRows, split: float) -> list[_FileRows]:
     """The rows of each bead, in order."""
     step = np.linalg.norm(np.diff(rows.points, axis=0), axis=1)
     return [rows[part] for part in _parts(np.union1d(_changes(rows), np.flatnonzero(step > split) + 1))]
 
 
-def _check_alone(part: _Rows, split: float, spec: WaypointsSpec) -> None:
+def _check_alone(part: _FileRows, split: float, spec: WaypointsSpec) -> None:
     """Raise InputError for a waypoint that is all of its bead."""
     if len(part.points) > 1:
         return
@@ -493,7 +493,9 @@ def _check_alone(part: _Rows, split: float, spec: WaypointsSpec) -> None:
     raise InputError(reason, **spec.place(part.lines[0]), hint=hint)
 
 
-def _without_crumbs(parts: Sequence[_Rows], spec: WaypointsSpec, width: float) -> tuple[dict[int, _Rows], str, float]:
+def _without_crumbs(
+    parts: Sequence[_FileRows], spec: WaypointsSpec, width: float
+) -> tuple[dict[int, _FileRows], str, float]:
     """Parts of a file by their number from 1 on, without crumbs, what was changed in words, and the share that is left out.
 
     Crumbs are waypoints that stand alone and paths shorter than their bead is wide (`width` [m] where the file does not
@@ -508,7 +510,7 @@ def _without_crumbs(parts: Sequence[_Rows], spec: WaypointsSpec, width: float) -
         return everything, "", 0.0
     usual, total = float(np.median(steps)), float(steps.sum())
     alone, short, stray, lost = [], [], [], 0.0
-    kept: dict[int, _Rows] = {}
+    kept: dict[int, _FileRows] = {}
     for i, part in everything.items():
         length = float(arc_lengths(part.points)[-1])
         if len(part.points) < 2:

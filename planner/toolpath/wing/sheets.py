@@ -5,7 +5,7 @@ the part frame [m]: x along the chord, y along the span, z upwards. A place on a
 sections at once, and v, from 0 to 1 along the span. The lines go on straight beyond both ends, so that layers inside
 the wing, which lean along the span, are parallel to a side up to its ends.
 
-An Area says where a layer is worth printing: intervals across the wing, at stations along the span.
+An SpanIntervals says where a layer is worth printing: intervals across the wing, at stations along the span.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def stations_of(start: float, span: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Area:
+class SpanIntervals:
     """Intervals of c, a coordinate across the wing, at stations along its span.
 
     y      (m,) of the stations [m]
@@ -169,7 +169,7 @@ class Area:
     edges: Array
 
     @classmethod
-    def of(cls, y: Array, intervals: Sequence[Intervals]) -> Area:
+    def of(cls, y: Array, intervals: Sequence[Intervals]) -> SpanIntervals:
         """From a list of intervals at each station."""
         most = max((len(each) for each in intervals), default=0)
         edges = np.full((len(y), max(most, 1), 2), np.nan)
@@ -202,7 +202,7 @@ class Area:
 
 def parallel_area(
     side: LoftedSide, other: LoftedSide, distance: float, apart: float, tilt: float, stations: Array
-) -> Area:
+) -> SpanIntervals:
     """Where a surface parallel to `side`, so far inside (or outside, if negative) [m], is worth printing: intervals of u.
 
     It ends where the other side is less than `apart` [m] away, where it would cross itself, and where it is steeper than
@@ -228,7 +228,9 @@ def parallel_area(
     start, end = start, end - 1
     low = _edges(room, u, stations[row], rooms[row], start, np.maximum(start - 1, 0))
     high = _edges(room, u, stations[row], rooms[row], end, np.minimum(end + 1, _CELLS))
-    return Area.of(stations, [list(zip(low[row == k], high[row == k], strict=True)) for k in range(len(stations))])
+    return SpanIntervals.of(
+        stations, [list(zip(low[row == k], high[row == k], strict=True)) for k in range(len(stations))]
+    )
 
 
 def _edges(
@@ -274,7 +276,7 @@ class WingSheet(Protocol):
     """One layer: what lies under its tip surface. A place on it is c across the wing and y along the span."""
 
     @property
-    def area(self) -> Area:
+    def area(self) -> SpanIntervals:
         """Where it is, in c and y."""
         ...
 
@@ -324,7 +326,7 @@ class CurvedSheet:
     side: LoftedSide
     tip: float
     base: float
-    area: Area
+    area: SpanIntervals
 
     @property
     def height(self) -> float:
@@ -431,7 +433,7 @@ class FlatSheet:
 
     tip: float
     base: float
-    area: Area
+    area: SpanIntervals
 
     slope = 0.0
     bend = 0.0

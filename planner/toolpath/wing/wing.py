@@ -30,7 +30,15 @@ from planner.toolpath.wing.section import (
     too_small,
 )
 from planner.toolpath.wing.sheet_solid import SheetSolid
-from planner.toolpath.wing.sheets import Area, CurvedSheet, FlatSheet, Loft, WingSheet, parallel_area, stations_of
+from planner.toolpath.wing.sheets import (
+    CurvedSheet,
+    FlatSheet,
+    Loft,
+    SpanIntervals,
+    WingSheet,
+    parallel_area,
+    stations_of,
+)
 from planner.toolpath.wing.strips import CurvedStrip, Filling, FlatStrip, LayeredSolid, Strip, fill_strip
 from planner.toolpath.wing.support import below, check_support, level_count, level_ends, strips_of, widened
 
@@ -167,7 +175,7 @@ def _planar(loft: Loft, spec: AerofoilLayersSpec, stations: Array, solid: Fillin
     layers: list[list[SheetLayer]] = []
     for k in range(int(np.ceil(top / spec.height))):
         level = (k + 0.5) * spec.height
-        area = Area.of(stations, [_cut(outline, level) for outline in outlines])
+        area = SpanIntervals.of(stations, [_cut(outline, level) for outline in outlines])
         sheet = FlatSheet((k + 1) * spec.height, k * spec.height, area)
         layers.append([] if area.empty else [SheetLayer("layer", sheet, k % 2 == 0, solid)])
     return layers
@@ -207,7 +215,7 @@ def _level(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations:
     sheets: list[WingSheet | None] = []
     for k in range(level_count(spec, support)):
         top = (k + 1) * spec.height
-        area = Area.of(stations, [below(under, top, ends) for under in unders])
+        area = SpanIntervals.of(stations, [below(under, top, ends) for under in unders])
         sheets.append(None if area.empty else FlatSheet(top, top - spec.height, area))
     return sheets
 

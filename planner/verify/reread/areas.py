@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags
-from planner.verify.reread.places import Asked
+from planner.verify.reread.places import AskedPlaces
 
 _PITCH = 0.25  # bead widths between places
 _MOST = 200_000  # places of a layer
@@ -23,7 +23,7 @@ Place = Callable[[Array, Array], Array]  # of shares across and along (n): point
 
 
 @dataclass(frozen=True)
-class Area:
+class PlaceGrid:
     """A grid of places of a layer, rows (m) along and columns (n) across.
 
     points   (m, n, 3) [m]
@@ -47,7 +47,7 @@ class Area:
         core = self.points[self.inside & (self.depth >= within)]
         return np.asarray(cKDTree(core).query(tips)[0]) if len(core) else np.full(len(tips), _FAR)
 
-    def asked(self, near: float, beside: float, least: float) -> Asked:
+    def asked(self, near: float, beside: float, least: float) -> AskedPlaces:
         """Places to be filled within `near` [m] of a bead, but where the layer is narrower than `least` [m].
 
         beside: m within which those are to be filled that are within two beads' widths of the outline
@@ -57,12 +57,12 @@ class Area:
         count = int(core.sum())
         whole = float(max(self.inside.sum(), 1))
         reach = np.where(self.depth[core] < 2.0 * self.width, beside, near)
-        return Asked(self.points[core], np.ones(count), reach, whole)
+        return AskedPlaces(self.points[core], np.ones(count), reach, whole)
 
 
 def area_of(
     place: Place, room: Place, sizes: tuple[float, float], stations: Array, width: float, pitch: float = _PITCH
-) -> Area:
+) -> PlaceGrid:
     """The area whose places `place` gives, where `room` is 0 or more.
 
     sizes     along and across [m]
@@ -83,7 +83,7 @@ def area_of(
     else:
         points = place(np.tile(c, len(v)), np.repeat(v, len(c))).reshape(len(v), len(c), 3)
     steps = (sizes[0] / counts[0], sizes[1] / counts[1])
-    return Area(points, depth_of(rooms >= 0.0, steps), steps, width)
+    return PlaceGrid(points, depth_of(rooms >= 0.0, steps), steps, width)
 
 
 def depth_of(inside: Flags, steps: tuple[float, float]) -> Array:

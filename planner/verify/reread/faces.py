@@ -17,7 +17,7 @@ from planner.verify.reread.places import (
     NORMAL,
     OFF_LEVEL,
     ON_PART,
-    Asked,
+    AskedPlaces,
     Places,
     begun_layers,
     beyond_limits,
@@ -99,5 +99,5 @@ def _covered(judged: Judged, layers: FaceLayersSpec, found: MeshedFaces, places:
         if layer in begun:
             continue
         rise = (layer + 1.0) * layers.height
-        asked[layer] = Asked(points, area, np.full(len(points), np.hypot(near, rise)), float(area.sum()))
+        asked[layer] = AskedPlaces(points, area, np.full(len(points), np.hypot(near, rise)), float(area.sum()))
     return filled(places, asked, 0.0)

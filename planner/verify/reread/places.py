@@ -97,7 +97,7 @@ def not_read(why: str) -> Check:
 
 
 @dataclass(frozen=True)
-class Asked:
+class AskedPlaces:
     """Places (n, 3) of one layer's surface that lie half a bead or more within its outline, and are to be filled.
 
     area     (n,) that each stands for [m^2]
@@ -111,7 +111,7 @@ class Asked:
     whole: float
 
 
-def filled(places: Places, asked: Mapping[int, Asked], may: float, corners: float = _CORNERS) -> Check:
+def filled(places: Places, asked: Mapping[int, AskedPlaces], may: float, corners: float = _CORNERS) -> Check:
     """The share of a layer that no bead comes near to, in the worst layer, or where a share may be missing, of all layers.
 
     may: share of all of them that notes tell of; corners: share of a layer that rounded turns and narrow ends leave

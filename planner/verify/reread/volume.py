@@ -23,7 +23,7 @@ from planner.verify.reread.places import (
     INSIDE,
     OFF_LEVEL,
     ON_PART,
-    Asked,
+    AskedPlaces,
     Places,
     begun_layers,
     by_number,
@@ -49,7 +49,7 @@ _STEEPEST = 0.2  # upward component of normals
 
 
 @dataclass(frozen=True)
-class Body:
+class BodyFacets:
     """A body's facets, and vertical lines through it on a grid.
 
     low       x and y of the first line [m]; pitch: between lines
@@ -65,7 +65,7 @@ class Body:
     lines: Crossings
 
     @classmethod
-    def of(cls, facets: Facets, width: float) -> Body:
+    def of(cls, facets: Facets, width: float) -> BodyFacets:
         """Lines a share of a bead's width apart, or farther through a large body."""
         corners = facets.corners.reshape(-1, 3)[:, :2]
         low, high = corners.min(axis=0) - _AROUND * width, corners.max(axis=0) + _AROUND * width
@@ -114,7 +114,7 @@ def volume(judged: Judged, places: Places) -> Iterator[Check]:
     if not isinstance(spec, VolumeLayersSpec):
         return
     try:
-        body = Body.of(facets_of(spec.source.file), width)
+        body = BodyFacets.of(facets_of(spec.source.file), width)
         lower, upper = _guide(spec.lower, body, "lower"), _guide(spec.upper, body, "upper")
     except (InputError, OSError) as error:
         yield not_read(str(error))
@@ -132,7 +132,7 @@ def volume(judged: Judged, places: Places) -> Iterator[Check]:
     yield from _outlines(judged, spec, body, stack, layers, places)
 
 
-def _guide(spec: GuideSpec | None, body: Body, which: str) -> Heights:
+def _guide(spec: GuideSpec | None, body: BodyFacets, which: str) -> Heights:
     """The heights of a surface that layers begin at or come to."""
     if spec is not None and spec.mesh is not None:
         facets = facets_of(spec.mesh)
@@ -146,7 +146,7 @@ def _guide(spec: GuideSpec | None, body: Body, which: str) -> Heights:
     return lambda plane: np.full(len(plane), lowest)
 
 
-def _stack(spec: VolumeLayersSpec, body: Body, lower: Heights, upper: Heights, places: Places) -> Stack | None:
+def _stack(spec: VolumeLayersSpec, body: BodyFacets, lower: Heights, upper: Heights, places: Places) -> Stack | None:
     """The layers, as many as most tips say where a hair of the body's height decides that."""
     there = ~np.isnan(body.lines.top()[0])
     gap = (upper(body.plane) - lower(body.plane))[there]
@@ -197,7 +197,7 @@ class _Layer:
     z: Array
 
     @classmethod
-    def of(cls, body: Body, stack: Stack, layer: int, off: float) -> _Layer:
+    def of(cls, body: BodyFacets, stack: Stack, layer: int, off: float) -> _Layer:
         thick, unsure = stack.thickness(body.plane)
         low, level = stack.lower(body.plane), layer + 0.5
         by = level * unsure + off
@@ -210,7 +210,7 @@ class _Layer:
 
 
 def _outlines(
-    judged: Judged, spec: VolumeLayersSpec, body: Body, stack: Stack, layers: dict[int, _Layer], places: Places
+    judged: Judged, spec: VolumeLayersSpec, body: BodyFacets, stack: Stack, layers: dict[int, _Layer], places: Places
 ) -> Iterator[Check]:
     """Beads lie within their layers' outlines, walls are there, and the inside is as dense as is asked for."""
     process, told, width = judged.problem.process, judged.toolpath.told, judged.problem.process.bead.width
@@ -232,13 +232,13 @@ def _outlines(
             wanted = walled | inner
             points = np.column_stack([body.plane, layer.z.ravel()])[wanted.ravel()]
             reach = np.where(walled, near, hole)[wanted]
-            asked[k] = Asked(points, np.ones(len(points)), reach, float(max((layer.depth > 0.0).sum(), 1)))
+            asked[k] = AskedPlaces(points, np.ones(len(points)), reach, float(max((layer.depth > 0.0).sum(), 1)))
     yield filled(places, asked, min(told.left_out, spec.source.crumbs) + told.open)
     if not begun:
         yield _as_dense(judged, spec, body, layers)
 
 
-def _as_dense(judged: Judged, spec: VolumeLayersSpec, body: Body, layers: dict[int, _Layer]) -> Check:
+def _as_dense(judged: Judged, spec: VolumeLayersSpec, body: BodyFacets, layers: dict[int, _Layer]) -> Check:
     """What beads cover, in the plane, of what walls and infill ask for."""
     width, told = judged.problem.process.bead.width, judged.toolpath.told
     wanted = 0.0

@@ -19,14 +19,14 @@ from planner.plan import Check
 from planner.problem.layers import AerofoilLayersSpec
 from planner.verify.checks import Judged
 from planner.verify.reread.aerofoil import Ruled, ruled, sections_of
-from planner.verify.reread.areas import MIDDLE, Area, Place, area_of
+from planner.verify.reread.areas import MIDDLE, Place, PlaceGrid, area_of
 from planner.verify.reread.places import (
     AXIS,
     INSIDE,
     NORMAL,
     OFF_LEVEL,
     ON_PART,
-    Asked,
+    AskedPlaces,
     Places,
     by_number,
     filled,
@@ -189,7 +189,7 @@ def _layers(body: Wing) -> Iterator[WingLayer]:
         yield WingLayer("upper", k * height, (k + _APART["upper"]) * height, width)
 
 
-def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, Area]], places: Places) -> tuple[Array, Array, Ints]:
+def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, PlaceGrid]], places: Places) -> tuple[Array, Array, Ints]:
     """How far (n) [m] tips are off the layer that most of a printed layer is nearest to, outward unit normals (n, 3) of it,
     and its number (n)."""
     level = places.tip[:, 2]
@@ -236,7 +236,7 @@ def _layer_and_material(places: Places, body: Wing) -> Ints:
     return places.bead if both else places.layer
 
 
-def _asked(body: Wing, layer: WingLayer, area: Area) -> Asked:
+def _asked(body: Wing, layer: WingLayer, area: PlaceGrid) -> AskedPlaces:
     """What of a layer is to be filled, and how near to a bead that is."""
     near, beside = _NEAR * _STRETCHED * layer.spacing, _SLANTED * layer.spacing
     if body.spec.source.tip is None:
@@ -246,7 +246,7 @@ def _asked(body: Wing, layer: WingLayer, area: Area) -> Asked:
     return area.asked(near, beside, _PIECE * body.width)
 
 
-def _runs(area: Area, least: float) -> list[float]:
+def _runs(area: PlaceGrid, least: float) -> list[float]:
     """How long [m] the pieces of a layer are across that are longer than `least` [m]."""
     row = area.inside[len(area.inside) // 2]
     ends = np.flatnonzero(np.diff(np.concatenate([[0], row.astype(np.int8), [0]])))
@@ -254,10 +254,10 @@ def _runs(area: Area, least: float) -> list[float]:
     return sizes[sizes > least].tolist()
 
 
-def _areas(body: Wing) -> Iterator[tuple[WingLayer, Area]]:
+def _areas(body: Wing) -> Iterator[tuple[WingLayer, PlaceGrid]]:
     """The layers, and their places; of each half the layers inwards of the first that comes out empty are not looked at."""
     ended: set[str] = set()
-    upper: list[tuple[WingLayer, Area]] = []
+    upper: list[tuple[WingLayer, PlaceGrid]] = []
     layers = list(_layers(body))
     for layer in [each for each in layers if each.kind != "upper"]:
         if layer.kind in ended:
@@ -273,7 +273,7 @@ def _areas(body: Wing) -> Iterator[tuple[WingLayer, Area]]:
     yield from upper[::-1]
 
 
-def _area(body: Wing, layer: WingLayer) -> Area:
+def _area(body: Wing, layer: WingLayer) -> PlaceGrid:
     """The places of a layer."""
     span = body.spec.source.span
     if layer.kind in ("cut", "under"):
