@@ -65,6 +65,38 @@ def test_code_is_compiled_anew_after_a_change_in_another_file(folder: Path) -> N
     assert run(folder) == (6.25, 1)
 
 
+KINDS = """
+from typing import NamedTuple
+
+class {0}(NamedTuple):
+    x: float
+
+class Outer(NamedTuple):
+    inner: {0}
+"""
+TAKER = """
+from planner.base.compiled import njit
+from kinds import Outer
+
+@njit(cache=True)
+def outer(both):
+    return both.inner.x
+"""
+TAKEN = """
+import kinds, caller
+print(caller.outer(kinds.Outer(kinds.{0}(2.0))), sum(caller.outer.stats.cache_hits.values()))
+"""
+
+
+def test_code_of_a_class_that_has_another_name_now_is_forgotten(tmp_path: Path) -> None:
+    for name in ("Inner", "Renamed"):
+        texts = {"kinds": KINDS.format(name), "caller": TAKER, "run": TAKEN.format(name)}
+        for module, text in texts.items():
+            (tmp_path / f"{module}.py").write_text(text)
+        assert run(tmp_path) == (2.0, 0)
+    assert run(tmp_path) == (2.0, 1)
+
+
 LOADED = """
 import numpy as np
 from planner.cell.cell import build_cell

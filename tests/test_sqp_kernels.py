@@ -536,6 +536,18 @@ def test_banded_factor_solves() -> None:
     assert not factorise(np.array([[1.0, 2.0], [1.0, 0.0]]))  # indefinite
 
 
+@pytest.mark.parametrize("seed", [3, 7, 11, 16])
+def test_where_arrays_lie_in_memory_does_not_matter(seed: int) -> None:
+    """Small ones above all, which may lie so close to each other that loops take no vectors."""
+    qp = random_program(np.random.default_rng(seed), rows=4, price=1.0)
+    rng, between, found = np.random.default_rng(0), [], set()
+    for _ in range(40):
+        between = [*between[-8:], np.empty(rng.integers(1, 60))]
+        solution = solve_qp(qp, 1e-9)
+        found.add((solution.x.tobytes(), solution.steps, solution.gap, solution.residual))
+    assert len(found) == 1
+
+
 def test_a_program_whose_steps_run_out_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that asks for more than numbers can hold."""
     qp = random_program(np.random.default_rng(3), rows=4, price=1.0)

@@ -4,6 +4,7 @@ written; and when it compiles."""
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -38,7 +39,7 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
         try:
             kernel = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)  # nobody calls one from C
             if options.get("cache"):
-                _stamp(kernel)
+                _stamp(kernel._cache, function)
             return kernel
         except RuntimeError as error:
             if "no locator available" not in str(error):
@@ -52,13 +53,18 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 _stamps: dict[str, str] = {}  # of each module with kernels, by its name
 
 
-def _stamp(kernel: Any) -> None:
-    """Have the cached code of a kernel count for just this content of all that it is made of."""
-    kernel._cache._cache_file._source_stamp = _stamp_of(kernel.py_func)  # numba has no public way
+def _stamp(cached: Any, function: Any) -> None:
+    """Have the cached code of a function count for just this content of all that it is made of.
+
+    As its version, which numba looks at first: what was written before a class was renamed cannot even be read.
+    """
+    cached._cache_file._version = f"{numba.__version__} {_stamp_of(function)}"  # numba has no public way
+    cached._cache_file._source_stamp = ""  # of the file's time, which a checkout changes
 
 
 def _stamp_of(function: Any) -> str:
-    """Digest of a module's file, and of the constants and kernels that it imports, which stand above its first kernel."""
+    """Digest of a module's file, of the constants and kernels that it imports, which stand above its first kernel, and of
+    the files of the tuples' types."""
     module = function.__module__
     if module not in _stamps:
         digest = hashlib.blake2b(Path(function.__code__.co_filename).read_bytes(), digest_size=16)
@@ -68,7 +74,7 @@ def _stamp_of(function: Any) -> str:
             elif isinstance(value, np.ndarray):
                 digest.update(value.tobytes())
             elif isinstance(value, type) and hasattr(value, "_fields"):
-                digest.update(f"{name} {value._fields}".encode())
+                digest.update(Path(inspect.getfile(value)).read_bytes())
             elif getattr(value, "py_func", function).__module__ != module:
                 digest.update(_stamp_of(value.py_func).encode())
         _stamps[module] = digest.hexdigest()
@@ -89,7 +95,7 @@ def address_of(function: Callable[..., None], signature: str) -> int:
     )
     try:
         compiled.enable_caching()
-        compiled._cache._cache_file._source_stamp = _stamp_of(function)  # numba has no public way
+        _stamp(compiled._cache, function)
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise

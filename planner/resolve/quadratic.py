@@ -17,7 +17,9 @@ from planner.base.compiled import njit
 # A matrix that is factorised is held by its upper band, U (n, w): U[i, d] is the entry (i, i + d). So what a row of the
 # factor does to the rows after it goes along memory.
 
-# Sums may be taken in any order, and products join them without rounding: vectors of the processor ask for both.
+# Sums may be taken in any order, and products join them without rounding: vectors of the processor ask for both. A loop
+# that sums up fills no array beside it: whether such a loop may use vectors depends on where arrays lie, and with that
+# its last digit.
 SUMS = {"reassoc", "contract"}
 _ROWS = 64  # that are multiplied at once: few enough for one thread
 _PANEL = 8  # rows of the factor that change the rows after them at once, as one product of matrices
@@ -28,10 +30,11 @@ def times_band(H, x, out) -> None:
     """Fill out with H x; H (n, w) is the lower band, H[i, d] the entry (i, i - d)."""
     n, w = H.shape
     for i in range(n):
-        out[i] = H[i, 0] * x[i]
-    for i in range(n):
+        total = H[i, 0] * x[i]
         for d in range(1, min(w, i + 1)):
-            out[i] += H[i, d] * x[i - d]
+            total += H[i, d] * x[i - d]
+        out[i] = total
+        for d in range(1, min(w, i + 1)):
             out[i - d] += H[i, d] * x[i]
 
 
@@ -235,7 +238,7 @@ class Status(IntEnum):
     """How a program was left."""
 
     SOLVED = 0  # as exactly as was asked for
-    STOPPED = 1  # before: steps ran out, or rounding did not let the matrix be factorised
+    STOPPED = 1  # before: steps ran out, or rounding did not let the matrix be factorised or a step be worked out
     FAILED = 2  # with what is no number
 
 
@@ -353,10 +356,9 @@ def _direction(rows, newton, at, residual, price, target, second, step) -> None:
         dx[i] = -residual[i] + r_low / low[i] - lam_low[i] - r_high / high[i] + lam_high[i]
     for k in range(price.size):
         first, end = group[k], group[k + 1]
-        own = (target - second_slack[k]) / slack[k] - price[k]
         for r in range(first, end):
             dlam[r] = (target - second_s[r]) / s[r]
-            own += dlam[r]
+        own = (target - second_slack[k]) / slack[k] - price[k] + dlam[first:end].sum()
         for r in range(first, end):
             ds[r] = lam[r] - dlam[r] + D[r] * (own / S[k])
         dslack[k] = own
@@ -464,10 +466,9 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
             U[i, 0] += lam_low[i] / low[i] + lam_high[i] / high[i]
         for k in range(groups):
             own[k] = mu[k] / slack[k]
-            S[k] = own[k]
             for r in range(group[k], group[k + 1]):
                 D[r] = lam[r] / s[r]
-                S[k] += D[r]
+            S[k] = own[k] + D[group[k] : group[k + 1]].sum()
         add_rows(A, at, group, rows.chunks, D, own, S, U)
         if not factorise(U):
             break
@@ -477,22 +478,17 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
         second_high[:] = 0.0
         _direction(rows, newton, here, residual, price, 0.0, second, step)
         length = _step_length(here, step, 0.0, second)
-        after = 0.0
+        target = (_complementarity_after(here, step, length) / gap) ** 3 * gap / total
         for r in range(count):
-            after += (s[r] + length * ds[r]) * (lam[r] + length * dlam[r])
             second_s[r] = ds[r] * dlam[r]
         for k in range(groups):
-            after += (slack[k] + length * dslack[k]) * (mu[k] + length * dmu[k])
             second_slack[k] = dslack[k] * dmu[k]
         for i in range(n):
-            d_low = -lam_low[i] - lam_low[i] / low[i] * dx[i]
-            d_high = -lam_high[i] + lam_high[i] / high[i] * dx[i]
-            after += (low[i] + length * dx[i]) * (lam_low[i] + length * d_low)
-            after += (high[i] - length * dx[i]) * (lam_high[i] + length * d_high)
-            second_low[i] = dx[i] * d_low
-            second_high[i] = -dx[i] * d_high
-        target = (after / gap) ** 3 * gap / total
+            second_low[i] = dx[i] * (-lam_low[i] - lam_low[i] / low[i] * dx[i])
+            second_high[i] = -dx[i] * (-lam_high[i] + lam_high[i] / high[i] * dx[i])
         _direction(rows, newton, here, residual, price, target, second, step)
+        if not np.isfinite(dx.sum() + ds.sum() + dlam.sum() + dslack.sum() + dmu.sum()):
+            break  # nothing is left to gain that numbers can hold
         length = _step_length(here, step, target, second)
         length = min(1.0, _TO_THE_WALL * length)
         for r in range(count):
@@ -529,6 +525,25 @@ def _complementarity(at) -> float:
         gap += slack[k] * mu[k]
     for i in range(low.size):
         gap += low[i] * lam_low[i] + high[i] * lam_high[i]
+    return gap
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def _complementarity_after(at, step, length) -> float:
+    """Sum of an iterate's products after a share of a step towards complementarity 0."""
+    s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
+    low, high, lam_low, lam_high = at.low, at.high, at.lam_low, at.lam_high
+    dx, ds, dlam, dslack, dmu = step.x, step.s, step.lam, step.slack, step.mu
+    gap = 0.0
+    for r in range(s.size):
+        gap += (s[r] + length * ds[r]) * (lam[r] + length * dlam[r])
+    for k in range(slack.size):
+        gap += (slack[k] + length * dslack[k]) * (mu[k] + length * dmu[k])
+    for i in range(low.size):
+        d_low = -lam_low[i] - lam_low[i] / low[i] * dx[i]
+        d_high = -lam_high[i] + lam_high[i] / high[i] * dx[i]
+        gap += (low[i] + length * dx[i]) * (lam_low[i] + length * d_low)
+        gap += (high[i] - length * dx[i]) * (lam_high[i] + length * d_high)
     return gap
 
 
