@@ -125,7 +125,7 @@ def test_ladder_keeps_at_least_the_singularity_margin_of_fixed(logo: str) -> Non
     assert solved(logo, "ladder").metrics["sigma_min"] >= solved(logo, "fixed").metrics["sigma_min"]
 
 
-@pytest.mark.slow(keep=("ours",))
+@pytest.mark.slow
 def test_rapid_program_replays_the_plan(logo: str) -> None:
     """Read back and run through: the same beads on the same path, both ways, within 0.1 mm, their ends within 0.05 mm."""
     plan = solved(logo, "ladder")

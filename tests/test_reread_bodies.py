@@ -221,7 +221,7 @@ def test_lost_layers_and_beads(name: str) -> None:
         assert failed(found(problem, toolpath, fewer, body)) & lost
 
 
-@pytest.mark.slow(cases=("box-*",))
+@pytest.mark.slow(keep=("wing-span_mm: 12-span_mm: 15",))
 @pytest.mark.parametrize(
     ("name", "key", "other"),
     [

@@ -112,7 +112,7 @@ def changed(beads: tuple[Bead, ...], by: Callable[[Bead], tuple[Array, Array]]) 
     return [replace(bead, points=points, normals=normals) for bead in beads for points, normals in (by(bead),)]
 
 
-@pytest.mark.slow(keep=("S",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHEETS)
 def test_a_spoilt_print_fails(name: str) -> None:
     """Turned, off its height, leaning by half a degree, or a bead too few."""

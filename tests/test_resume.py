@@ -99,6 +99,7 @@ def test_the_rest_is_verified_and_keeps_the_numbers_of_its_beads() -> None:
     assert {dip.bead for dip in plan.dips} <= set(range(FIRST, BEADS))
 
 
+@pytest.mark.slow
 def test_joints_pass_the_same_postures_as_in_the_whole_print() -> None:
     before, after = whole().trajectory, resumed().trajectory
     for bead in range(FIRST, BEADS):

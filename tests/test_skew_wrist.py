@@ -13,6 +13,8 @@ from planner.cell.kinematics.chain import Chain, refine
 from planner.cell.kinematics.inverse import branches_of, kind_of, solve_one, solver_of
 from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 
+pytestmark = pytest.mark.slow  # the kernels of these arms alone take some 17 s to compile
+
 Array = NDArray[np.float64]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 SIGMA = 0.01  # least singular value below which two postures are about to meet
@@ -57,7 +59,6 @@ def missed(joints: Chain, inverse: SkewWrist, q: Array) -> Array:
     return np.asarray((nearest > 1e-5) & (sigma(joints, q) > SIGMA))
 
 
-@pytest.mark.slow(keep=("Fanuc CRX-10iA",))
 @pytest.mark.parametrize("name", ARMS)
 def test_a_posture_is_among_those_of_its_pose(name: str) -> None:
     joints, inverse = arm(name)
@@ -92,7 +93,6 @@ def test_beside_singularities_nothing_is_lost_that_is_not_about_to_vanish(name: 
     assert missed(joints, inverse, q[near]).sum() == 0
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ARMS)
 def test_many_starts_of_newton_find_no_other_posture(name: str) -> None:
     joints, inverse = arm(name)
@@ -176,7 +176,6 @@ def test_a_postures_number_is_its_index(name: str) -> None:
     np.testing.assert_array_equal(exists, ok[0])
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ARMS)
 def test_a_number_seldom_changes_clear_of_singularities(name: str) -> None:
     """Along random smooth ways of 100 steps without a singularity; where it changes, it is where the arm is stretched, its
