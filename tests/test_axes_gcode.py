@@ -365,7 +365,12 @@ def replayed(name: str, plan: Plan, text: str) -> tuple[Array, Array, Array, Arr
     return table[:, :3], table[:, 3:6], table[:, 6], table[:, 7]
 
 
-@pytest.mark.slow(cases=("trunnion", "fork*",))
+@pytest.mark.slow(
+    cases=(
+        "trunnion",
+        "fork*",
+    )
+)
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_spiral_to_the_pole_is_printed_as_planned(name: str) -> None:
     plan, text = written(name)

@@ -340,6 +340,14 @@ class _Products(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+def _sum(values, first, end) -> float:
+    total = 0.0
+    for r in range(first, end):
+        total += values[r]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
 def _direction(rows, newton, at, residual, price, target, second, step) -> None:
     """Fill a step with Newton's direction from an iterate `at` towards complementarity `target`.
 
@@ -358,7 +366,7 @@ def _direction(rows, newton, at, residual, price, target, second, step) -> None:
         first, end = group[k], group[k + 1]
         for r in range(first, end):
             dlam[r] = (target - second_s[r]) / s[r]
-        own = (target - second_slack[k]) / slack[k] - price[k] + dlam[first:end].sum()
+        own = (target - second_slack[k]) / slack[k] - price[k] + _sum(dlam, first, end)
         for r in range(first, end):
             ds[r] = lam[r] - dlam[r] + D[r] * (own / S[k])
         dslack[k] = own
@@ -468,7 +476,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
             own[k] = mu[k] / slack[k]
             for r in range(group[k], group[k + 1]):
                 D[r] = lam[r] / s[r]
-            S[k] = own[k] + D[group[k] : group[k + 1]].sum()
+            S[k] = own[k] + _sum(D, group[k], group[k + 1])
         add_rows(A, at, group, rows.chunks, D, own, S, U)
         if not factorise(U):
             break
@@ -487,7 +495,10 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
             second_low[i] = dx[i] * (-lam_low[i] - lam_low[i] / low[i] * dx[i])
             second_high[i] = -dx[i] * (-lam_high[i] + lam_high[i] / high[i] * dx[i])
         _direction(rows, newton, here, residual, price, target, second, step)
-        if not np.isfinite(dx.sum() + ds.sum() + dlam.sum() + dslack.sum() + dmu.sum()):
+        moved = (
+            _sum(dx, 0, n) + _sum(ds, 0, count) + _sum(dlam, 0, count) + _sum(dslack, 0, groups) + _sum(dmu, 0, groups)
+        )
+        if not np.isfinite(moved):
             break  # nothing is left to gain that numbers can hold
         length = _step_length(here, step, target, second)
         length = min(1.0, _TO_THE_WALL * length)
