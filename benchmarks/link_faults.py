@@ -38,7 +38,7 @@ from planner.export.program import RobotProgram
 from planner.link import command
 from planner.simulate.board import BOARD_FAULTS, CONTROLLER_FAULTS, faults_of
 from planner.simulate.ftp import FTP_FAULTS, FtpAccess, FtpServer
-from planner.simulate.rws import RWS_FAULTS
+from planner.simulate.rws import RWS_FAULTS, Access
 from planner.simulate.start import Simulated, start
 
 PASSWORD = "simulated"
@@ -134,9 +134,10 @@ def run(case: Case, tls: tuple[Path, Path] | None) -> Finding:
         program = written(folder)
         made = made_program()
         faults = {layer: case.faults if case.layer == layer else () for layer in LAYERS}
+        certificate_of_it, key = tls if tls is not None and case.version == 2 else (None, None)
+        access = Access(password=PASSWORD, version=case.version, certificate=certificate_of_it, key=key)
         machine = start(
-            pace=PACE, read=lambda modules: made, rws_password=PASSWORD, in_use=True, version=case.version,
-            tls=tls if case.version == 2 else None, rws_faults=faults["web"] + faults[STOPPING],
+            pace=PACE, read=lambda modules: made, in_use=True, access=access, rws_faults=faults["web"] + faults[STOPPING],
             board_faults=faults["board"] + (("error@9",) if case.layer == STOPPING else ()),
             controller_faults=faults["controller"],
         )  # fmt: skip

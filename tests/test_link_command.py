@@ -63,9 +63,8 @@ def machine(request: pytest.FixtureRequest) -> Iterator[Simulated]:
     with start(
         pace=4.0,
         read=reader(program(LINES, moves=21)),
-        rws_password=PASSWORD,
         board_tool=0,
-        **getattr(request, "param", {}),
+        **{"access": Access(password=PASSWORD), **getattr(request, "param", {})},
     ) as made:
         yield made
 
@@ -106,7 +105,9 @@ def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("machine", [{"in_use": True}, {"in_use": True, "version": 2}], indirect=True)
+@pytest.mark.parametrize(
+    "machine", [{"in_use": True}, {"in_use": True, "access": Access(password=PASSWORD, version=2)}], indirect=True
+)
 def test_a_second_print_with_files_over_ftp_and_an_empty_task(
     files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
     request: pytest.FixtureRequest,

@@ -259,15 +259,14 @@ def test_nothing_global_is_set_while_running() -> None:
     assert not wrong
 
 
-def test_functions_of_resolution_and_placement_have_few_parameters() -> None:
+def test_functions_have_few_parameters() -> None:
     """Compiled kernels too: what belongs together is handed over in one tuple."""
     wrong = []
     for path in FILES:
-        if dotted(path).startswith(("resolve", "place")):
-            for node in ast.walk(tree(path)):
-                if isinstance(node, ast.FunctionDef):
-                    count = len(node.args.posonlyargs) + len(node.args.args) + len(node.args.kwonlyargs)
-                    wrong += [f"{dotted(path)}:{node.lineno} {node.name} has {count}"] if count > 12 else []
+        for node in ast.walk(tree(path)):
+            if isinstance(node, ast.FunctionDef):
+                count = len(node.args.posonlyargs) + len(node.args.args) + len(node.args.kwonlyargs)
+                wrong += [f"{dotted(path)}:{node.lineno} {node.name} has {count}"] if count > 12 else []
     assert not wrong
 
 

@@ -17,6 +17,7 @@ from planner.link.connections import Address, LinkError
 from planner.link.robot import bring, program_files, start, stop_robot
 from planner.link.rws import Rws
 from planner.planning.solve_command import main as solve
+from planner.simulate.rws import Access
 from planner.simulate.start import start as start_simulators
 
 PROBLEM = "cylinder_logo"
@@ -45,7 +46,7 @@ def simulated(pace: float, version: int = 1) -> Iterator[tuple[Address, Address,
 
     The web services are strict, and another program is loaded, as on a controller that somebody uses.
     """
-    with start_simulators(pace=pace, rws_password=PASSWORD, version=version, in_use=True) as made:
+    with start_simulators(pace=pace, access=Access(password=PASSWORD, version=version), in_use=True) as made:
         yield Address(*made.rws), Address(*made.program), Address(*made.board)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from types import TracebackType
 
 from planner.cell.cell import Cell
@@ -67,11 +66,8 @@ def start(
     controller_faults: Sequence[str] = (),
     board_faults: Sequence[str] = (),
     rws_faults: Sequence[str] = (),
-    version: int = 1,
-    strict: bool = True,
+    access: Access | None = None,
     in_use: bool = False,
-    tls: tuple[Path, Path] | None = None,
-    rws_password: str = "robotics",
     board_password: str = "",
     board_tool: int | None = None,
     read: Reader | None = None,
@@ -79,7 +75,7 @@ def start(
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
-    version, strict: of the web services (see `rws`); tls: certificate and key for https; in_use: another program is loaded.
+    access: to the web services, else as on a new controller; in_use: another program is loaded.
     read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
     where programmed speeds alone are not enough. board_tool: selected on the board from the start.
     Raises InputError for what is no fault.
@@ -91,8 +87,6 @@ def start(
         program: tuple[str, int] = free.getsockname()
     move = own_clock if cell is None else partial(played_motion, cell=cell)
     controller = Controller(program, pace, of_controller, read, move, OTHER_PROGRAM if in_use else None)
-    certificate, key = tls or (None, None)
-    access = Access(password=rws_password, version=version, strict=strict, certificate=certificate, key=key)
-    rws = RwsServer(host, 0, controller, access, of_rws)
+    rws = RwsServer(host, 0, controller, access or Access(), of_rws)
     board = BoardServer(host, 0, pace, of_board, board_password, board_tool)
     return Simulated(rws.address, program, board.address, controller, (rws, board))
