@@ -76,6 +76,15 @@ def helix(folder: Path, turns: float) -> Problem:
     return load_problem(folder / "helix.yaml")
 
 
+def test_a_draft_is_the_first_verified_plan() -> None:
+    """Of a print whose travel would have the other strategies asked: in the end its own plan is the best one."""
+    draft, whole = solve("peer_cap", draft=True), solve("peer_cap")
+    assert draft.verified
+    assert draft.baseline == {} and draft.advice == () and "as_published" in whole.baseline
+    assert draft.resolved_by == whole.resolved_by == "sqp"
+    np.testing.assert_array_equal(draft.trajectory.q, whole.trajectory.q)
+
+
 @pytest.mark.slow
 def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
     """A joint would leave its range if the arm went round; the table has to turn."""

@@ -87,7 +87,8 @@ def best_of_all(
 ) -> PlannedPaths | None:
     """The default's own plan (None where it was refused), or a simpler strategy's that is better. None where none is
     verified and there is no own one."""
-    if own is not None and not _leaves_to_be_desired(own, waypoints, len(given.tasks)):
+    taken = own is not None and own.verified and given.draft
+    if own is not None and (taken or not _leaves_to_be_desired(own, waypoints, len(given.tasks))):
         return own
     verified = [own] if own is not None and own.verified else []
     for name, paths in _simpler_paths(given, own, waypoints):

@@ -26,6 +26,7 @@ class PlanningContext:
     """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed.
 
     terms: a user's own, of the refinement's price
+    draft: a plan that is verified is taken as it is, whatever other strategies would make of it
     """
 
     problem: Problem
@@ -36,6 +37,7 @@ class PlanningContext:
     obstacles: Obstacles
     first_bead: int
     terms: tuple[Term, ...] = ()
+    draft: bool = False
 
 
 def context_of(

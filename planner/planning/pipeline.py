@@ -116,6 +116,7 @@ def solve(
     tolerance: Tolerance | str | None = None,
     first_bead: int = 0,
     baseline: bool = True,
+    draft: bool = False,
     over: Spread | None = None,
     terms: Sequence[OwnTerm] = (),
 ) -> Plan:
@@ -129,6 +130,7 @@ def solve(
     second_process  the same comes sooner, where the print is large
     stages          shows and times the stages
     baseline        whether the baseline strategy is planned as well; its metrics are in `Plan.baseline`
+    draft           for whoever waits: the first plan that is verified is taken as it is, without a baseline and advice
     over            what spreads the beads that strategy sqp refines over processes or machines (`planner.base.distribution.crew`)
     terms           terms of your own that the refinement of strategy sqp weighs against the others, see `OwnTerm`
 
@@ -160,8 +162,9 @@ def solve(
     with stages.stage("obstacles"):
         pieces = problem.process.split_beads  # which are counted once it is known whether there are any
         given = context_of(problem, cell, toolpath, 0 if pieces else _within(first_bead, toolpath), own)
+        given = replace(given, draft=draft)
         check_cones(problem, cell, given.tasks)
-    compared = baseline and strategy != BASELINE
+    compared = baseline and not draft and strategy != BASELINE
     if compared and len(toolpath.beads) > MOST_COMPARED:
         compared = False
         stages.tell(f"more than {MOST_COMPARED:,} beads: not compared with {BASELINE}")
@@ -189,7 +192,7 @@ def solve(
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
             metrics = report.metrics | _distance(given, report)
-            whole = first_bead == 0 and strategy == DEFAULT and baseline
+            whole = first_bead == 0 and strategy == DEFAULT and baseline and not draft
             advice = advise(given, planned.paths, trajectory, dips) if whole else ()
         with stages.stage("baseline"):
             of_baseline = baseline_metrics()

@@ -79,7 +79,7 @@ def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) 
     path = folder / "report.html"
     stages = Stages(entered=lambda name: say(stage=name, draft=draft))
     try:
-        plan = solve(problem, strategy, stages=stages, second_process=True)
+        plan = solve(problem, strategy, stages=stages, second_process=True, draft=bool(draft))
     except Refusal as refusal:
         with stages.stage("report"):
             report_refusal(problem, strategy, refusal, path)
