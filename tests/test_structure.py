@@ -30,7 +30,7 @@ HEAVY = {
     },
     "coal": {"robots.touching", "cell.bodies", "verify.bodies", "verify.reread"},
     "ruckig": {"motion.travel"},
-    "shapely": {"plan.stored", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
+    "shapely": {"plan.stored", "toolpath.skirt", "toolpath.step", "toolpath.svg", "toolpath.volume", "verify.reread"},
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"problem.cad_facets", "toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},

@@ -376,6 +376,12 @@ CHECKS: dict[str, Measure] = {
         "beads behind others that should come later",
         "process.order is given",
     ),
+    "lines around the first layer": Measure(
+        "mm",
+        "the lines of process.skirt go all round the first layer, level with it, each as far from it as asked",
+        "distance of the tip from where a line is to be",
+        "process.skirt is given",
+    ),
     "axis near the file's normals": Measure(
         "deg",
         "smoothing turns the nozzle from the normals of a file of waypoints by no more than it may",

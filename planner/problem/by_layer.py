@@ -109,6 +109,15 @@ class PauseSpec(Section):
         return self.wait + self.purge / self.purge_speed
 
 
+class SkirtSpec(Section):
+    """Lines around the first layer, which has to be level, laid before all others."""
+
+    loops: Annotated[int, Quantity("", 1, 100, whole=True)] = key("loops", "how many, one beside another", 1)
+    gap: Annotated[float, Quantity("mm", 0, 100)] = key(
+        "gap_mm", "between the innermost one and the layer [mm]; 0 makes a brim, which holds the print to the bed", 3
+    )
+
+
 class SeamSpec(Section):
     """Where closed beads begin and end: one of these."""
 

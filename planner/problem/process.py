@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
-from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Order, Pauses, SeamSpec, Speed, Speeds
+from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Order, Pauses, SeamSpec, SkirtSpec, Speed, Speeds
 from planner.problem.fields import (
     IDENTIFIER,
     LONGEST_NAME,
@@ -471,6 +471,7 @@ class ProcessSpec(AroundBeadSpec):
         (),
     )
     seam: SeamSpec | None = key("seam", "where closed beads begin; default: as far from corners as can be", None)
+    skirt: SkirtSpec | None = key("skirt", "lines around the first layer, laid before all others; default: none", None)
     bead: BeadSpec = key("bead", "cross-section of a bead")
     corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = key(
         "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2

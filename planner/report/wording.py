@@ -112,6 +112,7 @@ GROUPS = {
         "input path reached everywhere",
         "every bead complete",
         "order of beads",
+        "lines around the first layer",
         "beads as wide and high as asked",
         "layers on the part",
         "nozzle normal to the part",

@@ -63,6 +63,10 @@ def build_toolpath(problem: Problem) -> Toolpath:
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
+    if problem.process.skirt is not None:
+        from planner.toolpath.skirt import with_skirt  # shapely takes a third of a second to load
+
+        toolpath = with_skirt(problem, toolpath)
     check_laid(problem, toolpath)
     check_layers(problem, toolpath)
     toolpath = with_speeds(problem, toolpath)

@@ -12,7 +12,7 @@ import numpy as np
 
 from planner.plan import Check, Event, Trajectory
 from planner.problem.by_layer import PauseSpec
-from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least, drawn_name
+from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least, drawn_name, lines_around
 from planner.verify.material import INSTANT, SAMPLES, rest
 
 AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
@@ -75,7 +75,8 @@ def _order(judged: Judged) -> Check:
     t, wrong, where = judged.trajectory, 0, EVERYWHERE
     last: dict[int, int] = {}
     starts = np.flatnonzero(t.deposit & (np.concatenate([[-1], t.bead[:-1]]) != t.bead))
-    for i in t.bead[starts].tolist():
+    around = lines_around(judged.problem, judged.toolpath)  # before all others, whatever the patterns say
+    for i in t.bead[starts][t.bead[starts] >= around].tolist():
         bead = judged.toolpath.beads[i]
         name = drawn_name(bead)
         own = next((k for k, pattern in enumerate(patterns) if fnmatchcase(name, pattern)), len(patterns))

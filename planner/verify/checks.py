@@ -25,6 +25,7 @@ DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
 FAR = 50e-3  # m: distances are told apart up to this one; what is farther away counts as so far away
 TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
 _PIECE = re.compile(r", piece \d+$")  # behind the name of a drawn bead, where it is laid in pieces
+_SKIRT = re.compile(r"skirt [1-9]\d*")
 EVERYWHERE = "everywhere"  # the place of a check that holds at all places alike
 
 
@@ -67,6 +68,17 @@ class Findings:
 def drawn_name(bead: Bead) -> str:
     """The name of what was drawn, of a piece of it too."""
     return _PIECE.sub("", bead.name)
+
+
+def lines_around(problem: Problem, toolpath: Toolpath) -> int:
+    """How many beads come first that are lines around the first layer by their names, where the problem asks for some."""
+    count, layer = 0, toolpath.beads[0].layer
+    while problem.process.skirt is not None and count < len(toolpath.beads):
+        bead = toolpath.beads[count]
+        if bead.layer != layer or not _SKIRT.fullmatch(drawn_name(bead)):
+            break
+        count += 1
+    return count
 
 
 def asked_speeds(process: ProcessSpec, toolpath: Toolpath) -> Array:

@@ -24,7 +24,7 @@ from planner.problem.drawings import (
 )
 from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.part import PartSpec
-from planner.verify.checks import EVERYWHERE, Findings, Judged
+from planner.verify.checks import EVERYWHERE, Findings, Judged, lines_around
 from planner.verify.reread.core import core
 from planner.verify.reread.faces import faces
 from planner.verify.reread.facets import facets_of
@@ -48,6 +48,7 @@ from planner.verify.reread.places import (
 )
 from planner.verify.reread.plane_curves import NotRead, read_again
 from planner.verify.reread.points import distances_from, dots_along, segments_of
+from planner.verify.reread.skirt import skirt
 from planner.verify.reread.slopes import axis_along, normals_over, off_facets
 from planner.verify.reread.volume import volume
 from planner.verify.reread.wing import wing
@@ -67,8 +68,13 @@ def as_the_problem_says(judged: Judged) -> Findings:
     """All checks of what is printed against the problem itself."""
     if not judged.trajectory.deposit.any():
         return Findings()  # that nothing is laid is another check's
-    places = places_of(judged)
+    every = places_of(judged)
+    around = every.bead < lines_around(judged.problem, judged.toolpath)
+    places = every.some(~around)
+    if not len(places.tip):
+        return Findings()
     checks = [
+        *skirt(judged, every, around),
         *_measures(judged),
         *_on_the_part(judged, places),
         *_on_the_drawing(judged, places),
@@ -78,7 +84,7 @@ def as_the_problem_says(judged: Judged) -> Findings:
         *volume(judged, places),
         *faces(judged, places),
     ]
-    return Findings((*checks, _obstacles(judged, places)))
+    return Findings((*checks, _obstacles(judged, every)))
 
 
 def _measures(judged: Judged) -> Iterator[Check]:

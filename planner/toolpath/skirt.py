@@ -1,0 +1,99 @@
+"""Lines around the first layer, laid before all others: a skirt, which starts the flow, or where they touch it a brim, which
+holds it to the bed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+
+from planner.base.arrays import Array
+from planner.problem import Problem
+from planner.problem.by_layer import SkirtSpec
+from planner.toolpath.bead import Bead, Surface, Toolpath
+from planner.toolpath.plane_paths import densify, make_bead, round_corners, with_seam
+from planner.toolpath.svg.outlines import PlanePath
+from planner.toolpath.task import roll_zeros
+
+_LEVEL = 1e-6  # m that first layers may rise and fall
+_UPRIGHT = 1e-9  # by which the upward component of their normals may be less than 1
+_ARC = 32  # pieces of a quarter of a circle: a line 50 mm away leaves its circle by 0.02 mm
+_CHORD = 1e-5  # m by which outlines may be thinned out
+
+
+def with_skirt(problem: Problem, toolpath: Toolpath) -> Toolpath:
+    """The toolpath with the lines around its first layer before all others, from the outside in; as it is where none are asked
+    for.
+
+    Raises InputError for a first layer that is not level: what lies beside it there is no bed.
+    """
+    spec = problem.process.skirt
+    if spec is None:
+        return toolpath
+    layer = min(bead.layer for bead in toolpath.beads)
+    first = [bead for bead in toolpath.beads if bead.layer == layer]
+    z = np.concatenate([bead.points[:, 2] for bead in first])
+    upright = min(float(bead.normals[:, 2].min()) for bead in first)
+    if np.ptp(z) > _LEVEL or upright < 1.0 - _UPRIGHT:
+        reason = "the first layer is not level: beside it there is no bed to lay lines on"
+        raise problem.error("process.skirt", reason, "leave it out, or draw the lines on the part")
+    beads = [_bead(problem, path, first[0], float(z.mean())) for path in _lines(spec, first)]
+    return replace(toolpath, beads=(*beads, *toolpath.beads), surface=SkirtedSurface(toolpath.surface, len(beads)))
+
+
+def _lines(spec: SkirtSpec, first: list[Bead]) -> Iterator[PlanePath]:
+    """Closed paths around what beads cover, the outermost first."""
+    covered = shapely.union_all(
+        [shapely.LineString(bead.points[:, :2]).buffer(0.5 * float(bead.width.max()), quad_segs=_ARC) for bead in first]
+    )
+    width, number = float(first[0].width[0]), 0
+    for k in reversed(range(spec.loops)):
+        around = covered.buffer(spec.gap + (k + 0.5) * width, quad_segs=_ARC)
+        for polygon in shapely.get_parts(around):
+            number += 1
+            points = np.asarray(polygon.exterior.simplify(_CHORD).coords)
+            yield PlanePath(f"skirt {number}", points, True)
+
+
+def _bead(problem: Problem, path: PlanePath, like: Bead, z: float) -> Bead:
+    """A level bead at a height z, of another's width, height and material."""
+
+    def place(plane: Array) -> Array:
+        return np.column_stack([plane, np.full(len(plane), z)])
+
+    curve = round_corners(with_seam(path, problem.process.seam, place), problem.process.corner_tolerance)
+    points = place(curve.points)
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    (zero,) = roll_zeros([normals])
+    size = float(like.width[0]), float(like.height[0])
+    return make_bead(
+        path.name, like.layer, points, normals, zero, place(densify(curve.source)), *size, True, like.material
+    )
+
+
+@dataclass(frozen=True)
+class SkirtedSurface:
+    """The surface beneath a toolpath whose first `lines` beads lie around its first layer, on the bed."""
+
+    surface: Surface
+    lines: int
+
+    def signed_distance(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.signed_distance(points)
+
+    def normals(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.normals(points)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Up on the lines, else as of the surface."""
+        if bead < self.lines:
+            return np.tile([0.0, 0.0, 1.0], (len(tips), 1))
+        return self.surface.normals_on(bead - self.lines, s, tips)
+
+    def before(self, bead: int) -> Surface:
+        """The surface when so many beads have been printed, the lines left out."""
+        return self.surface.before(max(bead - self.lines, 0))
