@@ -134,6 +134,7 @@ SPOILT: dict[str, Callable[[list[Bead]], list[Bead]]] = {
     "aside": lambda lines: [moved(line, (0.5, 0.0, 0.0)) for line in lines],
     "high": lambda lines: [moved(line, (0.0, 0.0, 0.3)) for line in lines],
     "one is missing": lambda lines: lines[2:],
+    "one part has none": lambda lines: [line for line in lines if line.points[:, 0].max() > 0.02],
     "all are missing": lambda lines: [],
     "open": lambda lines: [opened(lines[0]), *lines[1:]],
     "leaning": lambda lines: [replace(line, normals=line.normals @ lean().T) for line in lines],

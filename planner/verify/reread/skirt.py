@@ -10,14 +10,14 @@ from itertools import groupby
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Flags
+from planner.base.arrays import Array, Flags
 from planner.plan import Check
-from planner.problem.by_layer import SkirtSpec
 from planner.verify.checks import EVERYWHERE, Judged, drawn_name
 from planner.verify.reread.places import AXIS, OFF_LEVEL, Places, between, by_number, worst_of
 
 AROUND = "lines around the first layer"
 _CHORD = 3e-5  # m that outlines may be off, once they are thinned out
+_LOOKS = 200  # places of the layer that lines have to go round
 _ARC = 1e-3  # of a line's distance from the layer, by which its arcs may be chords
 
 
@@ -27,33 +27,44 @@ def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
     there = ~own & (places.layer == lowest)
     if spec is None or judged.trajectory.first_bead or not there.any():
         return []
-    if not own.any():
-        return [Check(AROUND, float(spec.loops), 0.0, "missing", False, EVERYWHERE)]
-    return [_check(judged, spec, places.some(own), places.some(there))]
-
-
-def _check(judged: Judged, spec: SkirtSpec, lines: Places, layer: Places) -> Check:
-    """Distances are those of the lines that are asked for, each of which goes all round."""
-    process, width = judged.problem.process, float(judged.toolpath.beads[int(layer.bead[0])].width[0])
-    away = cKDTree(layer.tip).query(lines.tip)[0]
+    lines, layer = places.some(own), places.some(there)
+    width = float(judged.toolpath.beads[int(layer.bead[0])].width[0])
+    away = cKDTree(layer.tip).query(lines.tip)[0] if own.any() else np.zeros(0)
     step = spec.gap + width  # from the layer's middle line to the first line's
     number = np.clip(np.rint((away - step) / width), 0, spec.loops - 1)
+    missing = spec.loops - len(np.unique(number))
+    if missing:
+        return [Check(AROUND, float(missing), 0.0, "missing", False, EVERYWHERE)]
+    outside = ~_within(lines, number, spec.loops, layer.few(_LOOKS))
+    if outside.any():
+        return [Check(AROUND, float(outside.mean()), 0.0, "of the layer outside", False, EVERYWHERE)]
     seen = np.hypot(away, 0.5 * between(judged)) - away  # the nearest place is not the nearest point
     off = np.maximum(np.abs(away - step - number * width) - seen - _ARC * away, 0.0)
     off = np.maximum(off, np.abs(lines.tip[:, 2] - float(np.median(layer.tip[:, 2]))))
-    off[np.arccos(np.clip(lines.up[:, 2], -1.0, 1.0)) > process.cones.tilt + AXIS] = np.inf
-    if len(np.unique(number)) < spec.loops or _open(judged, lines):
-        off[:] = np.inf
-    limit = process.corner_tolerance + _CHORD + OFF_LEVEL
-    return worst_of(judged, lines, AROUND, off * 1e3, limit * 1e3, "mm")
+    off = np.maximum(off, _open(judged, lines))
+    off[np.arccos(np.clip(lines.up[:, 2], -1.0, 1.0)) > judged.problem.process.cones.tilt + AXIS] = np.inf
+    limit = judged.problem.process.corner_tolerance + _CHORD + OFF_LEVEL
+    return [worst_of(judged, lines, AROUND, off * 1e3, limit * 1e3, "mm")]
 
 
-def _open(judged: Judged, lines: Places) -> bool:
-    """Whether a line does not come back to where it began, in pieces or not."""
-    tips = {bead: lines.tip[at] for bead, at in by_number(lines.bead)}
-    names = {bead: drawn_name(judged.toolpath.beads[bead]) for bead in tips}
-    for _, pieces in groupby(sorted(tips), names.__getitem__):
+def _within(lines: Places, number: Array, loops: int, layer: Places) -> Flags:
+    """Which places (m) of the layer every one of the loops goes round; number (n): the loop that a place of the lines is of."""
+    round_them = np.zeros((loops, len(layer.tip)), dtype=bool)
+    for _, at in by_number(lines.bead):
+        away = lines.tip[np.append(at, at[0]), :2] - layer.tip[:, None, :2]
+        turn = np.diff(np.unwrap(np.arctan2(away[..., 1], away[..., 0]), axis=1), axis=1).sum(axis=1)
+        round_them[int(np.median(number[at]))] |= np.abs(turn) > np.pi
+    return np.asarray(round_them.all(axis=0))
+
+
+def _open(judged: Judged, lines: Places) -> Array:
+    """How far (n) [m] a line that ends there is from where it began, in pieces or not; 0 at all other places."""
+    ends = {bead: (at[0], at[-1]) for bead, at in by_number(lines.bead)}
+    names = {bead: drawn_name(judged.toolpath.beads[bead]) for bead in ends}
+    gap = np.zeros(len(lines.tip))
+    for _, pieces in groupby(sorted(ends), names.__getitem__):
         own = list(pieces)
-        if np.linalg.norm(tips[own[0]][0] - tips[own[-1]][-1]) > between(judged) + OFF_LEVEL:
-            return True
-    return False
+        first, last = ends[own[0]][0], ends[own[-1]][1]
+        left = float(np.linalg.norm(lines.tip[first] - lines.tip[last]))
+        gap[last] = max(left - 2.0 * between(judged), 0.0)  # which is to the first and from the last place looked at
+    return gap
