@@ -361,8 +361,9 @@ def whole(task: NozzleTask, clock: Clock, basis: Basis, anchor: Array) -> PathSe
     deposits[task.first : task.last + 1] = 1.0
     hold = np.zeros(basis.controls)
     hold[[0, -1]] = 1.0
+    normals = np.array(task.normals)  # read-only ones would be another type, for which `follow` is compiled once more
     return PathSegment(
-        task.tip, task.frames, task.normals, task.cones, clock.step, deposits, clock.centre, clock.D,
+        task.tip, task.frames, normals, task.cones, clock.step, deposits, clock.centre, clock.D,
         basis.first, basis.B, np.ones(basis.controls), anchor, hold, task.moments,
     )  # fmt: skip
 
