@@ -1,0 +1,194 @@
+"""Prints that are off by known errors, scanned, corrected and verified: how near the nozzle is to where it is to be.
+
+python -m benchmarks.scan [PRINT …]
+
+A layer's top is moved along its normals by a smooth pattern of up to 0.8 mm and sampled as a scanner would: 0.05 mm of noise,
+5 % of the points thrown off by millimetres, holes in 10 % of the area. The map is found from the cloud alone, the layers above
+are planned on it, and the executed tips are held against the true tops.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.feedback.height_map import HeightMap, height_map, planned_top
+from planner.feedback.scan_telling import bound_of, write_map, write_problem
+from planner.plan import Plan
+from planner.planning.pipeline import solve
+from planner.problem import Problem, load_problem
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+
+OFF = 0.8e-3  # m: the print is off by up to this
+NOISE, OUTLIERS, FAR_OUT = 0.05e-3, 0.05, 3e-3  # m; share of the points; m
+HOLES, HOLE = 0.1, 3e-3  # share of the area; radius of one [m]
+APART = 0.15e-3  # m between points
+WAVES = (40e-3, 55e-3, 70e-3)  # m: of the pattern in x, y and z of the part
+SHARE = 0.3  # of a bead's height, by which it may change
+
+
+@dataclass(frozen=True)
+class ScannedPrint:
+    """What is printed in the benchmark: a shipped problem, its changes, the layer that is scanned."""
+
+    name: str
+    changes: tuple[str, ...]
+    layer: int
+
+
+PRINTS = (
+    ScannedPrint("hemisphere_honeycomb", ("layers.count=9",), 3),
+    ScannedPrint("cylinder_logo", ("layers.count=10",), 4),
+    ScannedPrint("planar_gcode", (), 1),
+)
+
+
+def pattern(points: Array) -> Array:
+    """How far the print is off (n) [m] at places (n, 3) of a layer's top."""
+    phase = 2.0 * np.pi * points / np.asarray(WAVES)
+    return np.asarray(OFF * np.sin(phase[:, 0] + 0.7) * np.cos(phase[:, 1]) * np.cos(phase[:, 2] + 0.3))
+
+
+def scanned(toolpath: Toolpath, layer: int, seed: int = 0, noise: float = NOISE) -> Array:
+    """A cloud (n, 3) [m] of the true top of a layer, counted from 1: noisy, with outliers and holes."""
+    random = np.random.default_rng(seed)
+    clouds = []
+    for bead in toolpath.beads:
+        if bead.layer != layer - 1:
+            continue
+        s = np.arange(0.5 * APART, bead.length, APART)
+        p, n = (np.stack([np.interp(s, bead.s, x) for x in v.T], axis=1) for v in (bead.points, bead.normals))
+        way = np.gradient(p, s, axis=0)
+        side = np.cross(n, way)
+        side /= np.linalg.norm(side, axis=1)[:, None]
+        for across in np.arange(-0.45, 0.46, APART / float(bead.width.mean())):
+            lying = p + (across * float(bead.width.mean()) + 0.2 * APART * random.standard_normal(len(s)))[:, None] * side
+            clouds.append(np.hstack([lying, n]))
+    found = np.vstack(clouds)
+    places, normals = found[:, :3], found[:, 3:]
+    kept = np.ones(len(places), dtype=bool)
+    while kept.mean() > 1.0 - HOLES:
+        kept &= np.linalg.norm(places - places[random.integers(len(places))], axis=1) > HOLE
+    places, normals = places[kept], normals[kept]
+    height = pattern(places) + noise * random.standard_normal(len(places))
+    wild = random.random(len(places)) < OUTLIERS
+    height[wild] += random.uniform(-FAR_OUT, FAR_OUT, int(wild.sum()))
+    return np.asarray(places + height[:, None] * normals)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Of one print: the map, the plan on it, its seconds, and errors by layer above the scanned one [m].
+
+    map_error        of the smoothed map at its cells, at most and root mean square [m]
+    over             of the nozzle's height over the true top beneath, less its bead's height, at most, by layer
+    beside_nominal   the same less the drawn height
+    left             of the true top of each layer from the drawn one, at most
+    """
+
+    map: HeightMap
+    plan: Plan
+    seconds: tuple[float, float]
+    map_error: tuple[float, float]
+    over: tuple[float, ...]
+    beside_nominal: tuple[float, ...]
+    left: tuple[float, ...]
+
+
+def outcome(print_: ScannedPrint, folder: Path, seed: int = 0) -> Outcome:
+    """Scan, correct and verify one print; files go into a folder."""
+    problem = load_problem(print_.name, print_.changes)
+    toolpath = build_toolpath(problem)
+    cloud = scanned(toolpath, print_.layer, seed)
+    begun = time.perf_counter()
+    radius = 5.0 * float(np.mean([bead.width.mean() for bead in toolpath.beads]))
+    found = height_map(planned_top(toolpath, print_.layer), cloud, radius, partial(InputError, file=folder))
+    mapped = time.perf_counter()
+    write_map(found, folder / "height_map.csv")
+    target = folder / f"{print_.name}.yaml"
+    text = write_problem(problem, found, print_.layer, bound_of(toolpath, print_.layer, SHARE), folder)
+    target.write_text(text, encoding="utf-8")
+    corrected = load_problem(target, problem.sources.overrides)
+    plan = solve(corrected, baseline=False)
+    planned = time.perf_counter()
+    off = found.smoothed - pattern(found.top.middle)
+    errors = _errors(problem, toolpath, plan, print_.layer)
+    seconds = (mapped - begun, planned - mapped)
+    return Outcome(found, plan, seconds, (float(np.abs(off).max()), float(np.sqrt((off**2).mean()))), *errors)
+
+
+def _errors(
+    problem: Problem, drawn: Toolpath, plan: Plan, layer: int
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """By layer above the scanned one: nozzle over the true top less the bead's height, less the drawn one; what is left."""
+    t, over, nominal, left = plan.trajectory, [], [], []
+    beneath = _tops(drawn, layer - 1)
+    true = pattern(beneath)
+    for level in range(layer, drawn.layers):
+        own = [i for i, bead in enumerate(drawn.beads) if bead.layer == level]
+        at = np.flatnonzero(t.deposit & np.isin(t.bead, own))
+        places, rise, high, normal = [], [], [], []
+        for i in np.unique(t.bead[at]):
+            k, bead = at[t.bead[at] == i], plan.toolpath.beads[i]
+            share = t.s[k] / bead.length
+            s = share * drawn.beads[i].length
+            p, n = (
+                np.stack([np.interp(s, drawn.beads[i].s, x) for x in v.T], axis=1)
+                for v in (drawn.beads[i].points, drawn.beads[i].normals)
+            )
+            places.append(p)
+            normal.append(n)
+            rise.append(((t.tip[k] - p) * n).sum(axis=1))
+            high.append(np.stack([np.interp(s, drawn.beads[i].s, drawn.beads[i].height), np.interp(t.s[k], bead.s, bead.height)]))
+        tips, rises, (drawn_high, laid) = np.vstack(places), np.concatenate(rise), np.hstack(high)
+        feet = tips - (level - layer + 1) * drawn_high[:, None] * np.vstack(normal)
+        # the true top beneath: as scanned, then what was laid on it, by the nozzle's height over it
+        if level == layer:
+            true = pattern(feet)
+        else:
+            true = true[cKDTree(beneath).query(feet)[1]]
+        over.append(float(np.abs(rises + drawn_high - true - laid).max()))
+        nominal.append(float(np.abs(rises - true).max()))
+        left.append(float(np.abs(rises).max()))
+        beneath, true = feet, rises
+    return tuple(over), tuple(nominal), tuple(left)
+
+
+def _tops(toolpath: Toolpath, level: int) -> Array:
+    return np.vstack([bead.points for bead in toolpath.beads if bead.layer == level])
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    names = [each.name for each in PRINTS]
+    parser.add_argument("prints", nargs="*", choices=[*names, []], default=names, metavar="PRINT", help=", ".join(names))
+    chosen = parser.parse_args(arguments).prints or names
+    for print_ in PRINTS:
+        if print_.name not in chosen:
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            found = outcome(print_, Path(folder))
+        verdict = "verified" if found.plan.verified else "NOT verified"
+        print(f"{print_.name}, scanned after layer {print_.layer} of {found.plan.toolpath.layers}: {verdict}")
+        print(f"  map: {found.map.covered:.1%} of {len(found.map.measured)} cells measured, noise {found.map.noise * 1e3:.3f} mm;")
+        print(f"    off the truth {found.map_error[1] * 1e3:.3f} mm rms, {found.map_error[0] * 1e3:.3f} at most")
+        print(f"  {found.seconds[0]:.1f} s for the map, {found.seconds[1]:.1f} s for the plan")
+        print("  layer  nozzle over print: off its bead, off the drawing;  top left off, mm")
+        for k, row in enumerate(zip(found.over, found.beside_nominal, found.left, strict=True)):
+            print("  {:5d}  {:8.3f} {:8.3f} {:8.3f}".format(print_.layer + 1 + k, *(1e3 * value for value in row)))
+
+
+if __name__ == "__main__":
+    main()
