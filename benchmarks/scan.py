@@ -73,7 +73,9 @@ def scanned(toolpath: Toolpath, layer: int, seed: int = 0, noise: float = NOISE)
         side = np.cross(n, way)
         side /= np.linalg.norm(side, axis=1)[:, None]
         for across in np.arange(-0.45, 0.46, APART / float(bead.width.mean())):
-            lying = p + (across * float(bead.width.mean()) + 0.2 * APART * random.standard_normal(len(s)))[:, None] * side
+            lying = (
+                p + (across * float(bead.width.mean()) + 0.2 * APART * random.standard_normal(len(s)))[:, None] * side
+            )
             clouds.append(np.hstack([lying, n]))
     found = np.vstack(clouds)
     places, normals = found[:, :3], found[:, 3:]
@@ -150,7 +152,11 @@ def _errors(
             places.append(p)
             normal.append(n)
             rise.append(((t.tip[k] - p) * n).sum(axis=1))
-            high.append(np.stack([np.interp(s, drawn.beads[i].s, drawn.beads[i].height), np.interp(t.s[k], bead.s, bead.height)]))
+            high.append(
+                np.stack(
+                    [np.interp(s, drawn.beads[i].s, drawn.beads[i].height), np.interp(t.s[k], bead.s, bead.height)]
+                )
+            )
         tips, rises, (drawn_high, laid) = np.vstack(places), np.concatenate(rise), np.hstack(high)
         feet = tips - (level - layer + 1) * drawn_high[:, None] * np.vstack(normal)
         # the true top beneath: as scanned, then what was laid on it, by the nozzle's height over it
@@ -173,7 +179,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     names = [each.name for each in PRINTS]
-    parser.add_argument("prints", nargs="*", choices=[*names, []], default=names, metavar="PRINT", help=", ".join(names))
+    parser.add_argument(
+        "prints", nargs="*", choices=[*names, []], default=names, metavar="PRINT", help=", ".join(names)
+    )
     chosen = parser.parse_args(arguments).prints or names
     for print_ in PRINTS:
         if print_.name not in chosen:
@@ -182,7 +190,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found = outcome(print_, Path(folder))
         verdict = "verified" if found.plan.verified else "NOT verified"
         print(f"{print_.name}, scanned after layer {print_.layer} of {found.plan.toolpath.layers}: {verdict}")
-        print(f"  map: {found.map.covered:.1%} of {len(found.map.measured)} cells measured, noise {found.map.noise * 1e3:.3f} mm;")
+        print(
+            f"  map: {found.map.covered:.1%} of {len(found.map.measured)} cells measured, noise {found.map.noise * 1e3:.3f} mm;"
+        )
         print(f"    off the truth {found.map_error[1] * 1e3:.3f} mm rms, {found.map_error[0] * 1e3:.3f} at most")
         print(f"  {found.seconds[0]:.1f} s for the map, {found.seconds[1]:.1f} s for the plan")
         print("  layer  nozzle over print: off its bead, off the drawing;  top left off, mm")

@@ -23,11 +23,15 @@ FEWEST = 4  # points of a cell: the median of fewer can be an outlier
 SCATTER = 0.35e-3  # m, robust deviation of a cell's points: more are of two surfaces
 LEAST_COVERED = 0.6  # share of the layer's cells that must be measured
 ELSEWHERE = 0.3  # share of cells with any point near them, below which the cloud is not of this layer
+_ALIKE = 8.0  # times as large, or as small, that a cloud and its layer may be: a scan sees more, or less
 _DENSE = 0.15  # of a bead's width between places by which points find their cell
 _MAD = 1.4826  # from a median absolute deviation to a standard deviation
 _NEAR_MEDIAN = 3.0  # robust deviations, within which points count
 _LEAST_SCATTER = 0.02e-3  # m
-_ODD, _LEAST_ODD = 5.0, 0.1e-3  # robust deviations, and m, by which a cell is off what lies around it when it is left out
+_ODD, _LEAST_ODD = (
+    5.0,
+    0.1e-3,
+)  # robust deviations, and m, by which a cell is off what lies around it when it is left out
 _ROUNDS = 3
 _GROWN = 2.0  # times the radius, step by step, from which holes are interpolated
 
@@ -137,15 +141,22 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
     return replace(found, smoothed=smoothed)
 
 
-def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
-    """Raise InputError, made by `complain`, for a cloud (n, 3) [m] in another unit, or far from the layer's top."""
-    ours, theirs = (float(np.linalg.norm(np.subtract(*np.quantile(x, (0.98, 0.02), axis=0)))) for x in (top.middle, cloud))
+def check_size(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
+    """Raise InputError, made by `complain`, for a cloud (n, 3) [m] that is a thousand times as large as the layer, or as small."""
+    ours, theirs = (
+        float(np.linalg.norm(np.subtract(*np.quantile(x, (0.98, 0.02), axis=0)))) for x in (top.middle, cloud)
+    )
     ratio = theirs / max(ours, 1e-12)
     for factor, unit in ((1e3, "m"), (1e-3, "mm")):
-        if 1.0 / 8.0 < ratio * factor < 8.0:
+        if 1.0 / _ALIKE < ratio * factor < _ALIKE:
             size = f"{theirs * 1e3:.4g} mm across, and the layer {ours * 1e3:.4g} mm"
             raise complain(f"is {size}: its unit is another one", hint=f"--unit {unit}")
-    away, near = cKDTree(cloud).query(top.middle)
+
+
+def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
+    """Raise InputError, made by `complain`, for a cloud (n, 3) [m] in another unit, or far from the layer's top."""
+    check_size(top, cloud, complain)
+    away = cKDTree(cloud).query(top.middle)[0]
     if float((away <= WINDOW).mean()) >= ELSEWHERE:
         return
     shift = (np.median(cloud, axis=0) - np.median(top.middle, axis=0)) * 1e3
@@ -153,7 +164,9 @@ def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
         f"lies elsewhere: half of the layer's top is {np.median(away) * 1e3:.1f} mm or more from its nearest point, and its "
         f"middle ({shift[0]:+.1f}, {shift[1]:+.1f}, {shift[2]:+.1f}) mm from the layer's"
     )
-    raise complain(reason, hint="in which frame was it scanned? --frame; --fit makes up for a few millimetres and degrees")
+    raise complain(
+        reason, hint="in which frame was it scanned? --frame; --fit makes up for a few millimetres and degrees"
+    )
 
 
 def robust(values: Array) -> float:

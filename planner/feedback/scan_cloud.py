@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,9 @@ def read_cloud(path: Path, unit: str | None = None) -> Array:
     many, and for two units.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise InputError(f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES))
+        raise InputError(
+            f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES)
+        )
     complain = partial(InputError, file=path)
     kind = path.suffix.lower()
     told: str | None = None
@@ -53,7 +56,9 @@ def read_cloud(path: Path, unit: str | None = None) -> Array:
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         count, first = int((~finite).sum()), int(np.argmin(finite))
-        raise complain(f"{count} of its {len(points)} points are not finite, the first is number {first}", hint="leave them out")
+        raise complain(
+            f"{count} of its {len(points)} points are not finite, the first is number {first}", hint="leave them out"
+        )
     return points * UNITS[unit or told or "mm"]
 
 
@@ -77,7 +82,7 @@ def _ply(path: Path, complain: Complaint) -> Array:
 
     try:
         with path.open("rb") as stream:
-            found = trimesh.load(stream, file_type="ply", process=False)
+            found: Any = trimesh.load(stream, file_type="ply", process=False)
         points = np.asarray(found.vertices, dtype=np.float64)
     except _UNREADABLE as error:
         raise complain("is no PLY file that can be read", hint="vertices with x, y and z") from error
@@ -90,30 +95,25 @@ def _arrays(path: Path, complain: Complaint) -> Array:
     """The array of a NumPy file, or those of an archive."""
     read_bytes(path, LARGEST_FILE, complain, "thin it out")
     try:
-        with np.load(path, allow_pickle=False) if path.suffix.lower() == ".npz" else _one(path) as found:
-            if all(name in found for name in "xyz"):
-                points = np.stack([np.asarray(found[name], dtype=np.float64).ravel() for name in "xyz"], axis=1)
-            else:
-                name = next(each for each in ("points", "xyz", *found) if each in found)
-                points = np.asarray(found[name], dtype=np.float64)
-    except (*_UNREADABLE, StopIteration, RuntimeError) as error:
+        held: Any = np.load(path, allow_pickle=False)
+        if isinstance(held, np.ndarray):
+            points = np.asarray(held, dtype=np.float64)
+        else:
+            with held:
+                points = _of_archive(held)
+    except (*_UNREADABLE, RuntimeError) as error:
         raise complain("is no NumPy file of points", hint="an array (n, 3), or x, y and z") from error
     if points.ndim != 2 or points.shape[1] < 3:
         raise complain(f"has an array of shape {points.shape}", hint="points are (n, 3)")
     return np.ascontiguousarray(points[:, :3])
 
 
-class _one(dict[str, Array]):
-    """The array of a file that holds one, by a name, as an archive has its arrays."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(points=np.load(path, allow_pickle=False))
-
-    def __enter__(self) -> _one:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        return None
+def _of_archive(held: Mapping[str, Any]) -> Array:
+    """The points of an archive's arrays. Raises KeyError where there are none."""
+    if all(name in held for name in "xyz"):
+        return np.stack([np.asarray(held[name], dtype=np.float64).ravel() for name in "xyz"], axis=1)
+    name = next((each for each in ("points", "xyz") if each in held), None)
+    return np.asarray(held[name or next(iter(held))], dtype=np.float64)
 
 
 def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:

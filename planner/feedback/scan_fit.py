@@ -61,14 +61,18 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
             away, near = tree.query(points, distance_upper_bound=reach)
             there = np.flatnonzero(np.isfinite(away))
             if len(there) < _FEWEST:
-                raise complain(f"{len(there)} of its points are within {reach * 1e3:g} mm of the layer's top: not to be fitted")
+                raise complain(
+                    f"{len(there)} of its points are within {reach * 1e3:g} mm of the layer's top: not to be fitted"
+                )
             points, near = points[there], near[there]
             residual, way = _off(top, points, near)
             heights = residual[: len(points)]
             spread = max(robust(heights), _LEAST)
             off = np.abs(residual - np.repeat([np.median(heights), 0.0], len(points)))
             weight = np.clip(1.0 - (off / (_TUKEY * spread)) ** 2, 0.0, 1.0) ** 2
-            J = unknowns.columns(rows(np.vstack([points, points]), way, np.eye(4)[None].repeat(len(way), 0), unknowns.centre))
+            J = unknowns.columns(
+                rows(np.vstack([points, points]), way, np.eye(4)[None].repeat(len(way), 0), unknowns.centre)
+            )
             root = np.sqrt(weight)
             seen, hidden = split(J[weight > 0.0])
             if not seen.shape[1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -37,7 +38,11 @@ def write_map(found: HeightMap, target: Path) -> None:
             rows.writerow((*COLUMNS, *MORE_COLUMNS))
             for k in range(len(top.middle)):
                 numbers = (*(top.middle[k] * 1e3), *top.out[k], found.deviation[k] * 1e3, found.smoothed[k] * 1e3)
-                more = (MEASURED if found.measured[k] else INTERPOLATED, int(found.count[k]), f"{found.scatter[k] * 1e3:.4f}")
+                more = (
+                    MEASURED if found.measured[k] else INTERPOLATED,
+                    int(found.count[k]),
+                    f"{found.scatter[k] * 1e3:.4f}",
+                )
                 texts = [f"{value:.6f}" if i not in (3, 4, 5) else f"{value:.9f}" for i, value in enumerate(numbers)]
                 rows.writerow((*texts, *more, int(top.bead[k]), f"{top.s[k] * 1e3:.3f}"))
     except OSError as error:
@@ -61,7 +66,9 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
     name: dict[str, Value] = {"name": problem.name.partition("_after_")[0][: LONGEST_NAME - len(suffix)] + suffix}
     if problem.as_printed is not None:
         return changed_text(problem, name | {f"as_printed.{key}": value for key, value in values.items()}, folder)
-    lines = "".join(f"  {key}: {value if isinstance(value, str) else f'{value:.6g}'}\n" for key, value in values.items())
+    lines = "".join(
+        f"  {key}: {value if isinstance(value, str) else f'{value:.6g}'}\n" for key, value in values.items()
+    )
     text = changed_text(problem, name, folder)
     comment = "# What is printed, by beadwise scan: layers above are laid on that.\n"
     return f"{text.rstrip()}\n\n{comment}as_printed:\n{lines}"
@@ -118,12 +125,12 @@ def remains(found: HeightMap, heights: Sequence[tuple[int, float]], most: float)
 def layer_heights(toolpath: Toolpath, layer: int) -> list[tuple[int, float]]:
     """Numbers from 1, and mean heights of beads [m], of the layers above one."""
     above = sorted({bead.layer for bead in toolpath.beads if bead.layer >= layer})
-    return [
-        (k + 1, float(np.mean([bead.height.mean() for bead in toolpath.beads if bead.layer == k]))) for k in above
-    ]
+    return [(k + 1, float(np.mean([bead.height.mean() for bead in toolpath.beads if bead.layer == k]))) for k in above]
 
 
-def write_picture(found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float, target: Path) -> None:
+def write_picture(
+    found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float, target: Path
+) -> None:
     """Write the map and what becomes of it layer by layer as PNG. Raises OutputError."""
     figure = Figure(figsize=(12.0, 5.0), dpi=120, facecolor="white", layout="constrained")
     _draw_map(figure, found, layer)
@@ -141,21 +148,16 @@ def _draw_map(figure: Figure, found: HeightMap, layer: int) -> None:
     mean = top.out.mean(axis=0)
     size = float(np.linalg.norm(mean))
     flat = size > 0.0 and bool(((top.out @ mean) / size > _FACING).all())
-    known = found.measured
-    colours = {"cmap": _COLOURS, "vmin": -bound, "vmax": bound}
+    place = (_plane(top.middle, mean / size) if flat else top.middle) * 1e3
+    ax: Any = figure.add_subplot(1, 2, 1, projection=None if flat else "3d")
+    for own, dot, edge in ((found.measured, 5, "none"), (~found.measured, 10, _GREY)):
+        dots = ax.scatter(
+            *place[own].T, c=values[own], s=dot, edgecolors=edge, linewidths=0.5, cmap=_COLOURS, vmin=-bound, vmax=bound
+        )
+    ax.set_aspect("equal")
     if flat:
-        ax = figure.add_subplot(1, 2, 1)
-        place = _plane(top.middle, mean / size) * 1e3
-        dots = ax.scatter(*place[known].T, c=values[known], s=5, **colours)
-        ax.scatter(*place[~known].T, c=values[~known], s=9, edgecolors=_GREY, linewidths=0.5, **colours)
-        ax.set_aspect("equal")
         ax.set_xlabel("mm")
         ax.spines[["top", "right"]].set_visible(False)
-    else:
-        ax = figure.add_subplot(1, 2, 1, projection="3d")
-        dots = ax.scatter(*(top.middle[known] * 1e3).T, c=values[known], s=4, **colours)
-        ax.scatter(*(top.middle[~known] * 1e3).T, c=values[~known], s=8, edgecolors=_GREY, linewidths=0.5, **colours)
-        ax.set_aspect("equal")
     ax.set_title(f"top of layer {layer}: off where it was planned (rings: interpolated)", fontsize=10, color=_INK)
     figure.colorbar(dots, ax=ax, shrink=0.8, label="along the normal [mm]: red too high, blue too low")
 

@@ -287,7 +287,9 @@ def _above_what_is_printed(problem: Problem, toolpath: Toolpath, first_bead: int
     """The first bead to print: of a print that was scanned none that is there. Raises InputError where it is to be."""
     printed = printed_beads(problem, toolpath)
     if 0 < first_bead < printed:
-        raise InputError(f"bead {first_bead} is printed already, as as_printed says", hint=f"{printed} is the first above")
+        raise InputError(
+            f"bead {first_bead} is printed already, as as_printed says", hint=f"{printed} is the first above"
+        )
     return max(first_bead, printed)
 
 

@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.base.errors import Complaint, InputError
+from planner.base.errors import Complaint
 from planner.base.files import read_text
 from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
@@ -29,7 +29,9 @@ from planner.toolpath.plane_paths import arc_length
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")  # of a map's file, and more that is for people
 LARGEST_MAP = 100_000_000  # bytes: a million places
-MOST_SHARE = 0.5  # of a bead's height, by which it may be made higher or lower: thinner ones do not hold, higher ones sag
+MOST_SHARE = (
+    0.5  # of a bead's height, by which it may be made higher or lower: thinner ones do not hold, higher ones sag
+)
 SAME_SIDE = 0.5  # least cosine of a node's normal and a place's: the other side of a thin wall says nothing
 LEVELLING = 1e-3  # of the weights' spread, added to that of slopes: a single row of nodes has none across
 _KNOTS = 12.0  # in the radius: places along a bead between which deviations are interpolated
@@ -125,7 +127,9 @@ def read_map(path: Path, radius: float, complain: Complaint) -> HeightField:
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in COLUMNS if name not in header]
     if missing or len(rows) < 2:
-        raise complain(f"{path.name} is no height map: {missing[0] if missing else 'places'} missing", hint="beadwise scan")
+        raise complain(
+            f"{path.name} is no height map: {missing[0] if missing else 'places'} missing", hint="beadwise scan"
+        )
     at = [header.index(name) for name in COLUMNS]
     try:
         table = np.array([[float(row[k]) for k in at] for row in rows[1:]])
@@ -160,7 +164,9 @@ def beads_up_to(layers: Sequence[int], last: int, complain: Complaint) -> int:
         raise complain(f"no layer is above layer {last}", hint="the last one has nothing to make up for it")
     count = sum(layer < last for layer in layers)
     if any(layer >= last for layer in layers[:count]):
-        raise complain(f"beads of layer {last} or below come after others above it", hint="this print is not made in layers")
+        raise complain(
+            f"beads of layer {last} or below come after others above it", hint="this print is not made in layers"
+        )
     return count
 
 
@@ -181,11 +187,11 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
         raise problem.error("as_printed.most_mm", reason, f"at most {MOST_SHARE * least * 1e3:g}")
     field = read_map(spec.map, spec.smoothing, lambda *told, **more: problem.error("as_printed.map", *told, **more))
     beads = tuple(_moved(problem, field, bead) for bead in toolpath.beads)
-    top = max(bead.layer for bead in beads)
-    over = left(field.deviation, spec.most, top + 1 - spec.after_layer)
+    off = field.at(field.points, field.normals)
+    over = left(off, spec.most, toolpath.layers - spec.after_layer)
     note = (
         f"layers above layer {spec.after_layer} are laid on what is printed, which is off by up to "
-        f"{np.abs(field.deviation).max() * 1e3:.2f} mm; {np.abs(over).max() * 1e3:.2f} mm of that are left on top"
+        f"{np.abs(off).max() * 1e3:.2f} mm; {np.abs(over).max() * 1e3:.2f} mm of that are left on top"
     )
     return replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
 
@@ -198,7 +204,8 @@ def _moved(problem: Problem, field: HeightField, bead: Bead) -> Bead:
     knots = max(int(np.ceil(_KNOTS * bead.length / field.radius)), 3) + 1
     s = np.linspace(0.0, bead.length, knots)
     places, normals = (
-        np.stack([np.interp(s, bead.s, column) for column in values.T], axis=1) for values in (bead.points, bead.normals)
+        np.stack([np.interp(s, bead.s, column) for column in values.T], axis=1)
+        for values in (bead.points, bead.normals)
     )
     deviation = CubicSpline(s, field.at(places, normals / np.linalg.norm(normals, axis=1)[:, None]))(bead.s)
     above = bead.layer + 1 - spec.after_layer

@@ -9,7 +9,7 @@ import numpy as np
 from planner.plan import Check
 from planner.problem.as_printed import AsPrintedSpec
 from planner.verify.checks import DIGITS, Findings, Judged, place
-from planner.verify.scanned import normals_along, over_print, scanned_top, still_off
+from planner.verify.scanned import deviations, normals_along, over_print, scanned_top, still_off
 
 OVER_PRINT = 0.1e-3  # m, by which the nozzle may be higher or lower over the print than its bead is high
 _LOOKS = 4000  # places of the first layer above
@@ -22,14 +22,14 @@ def as_printed(judged: Judged) -> Findings:
     if spec is None or not judged.trajectory.deposit.any():
         return Findings()
     top = scanned_top(spec)
-    layers = np.array([max(judged.toolpath.layers - spec.after_layer, 0)])
-    worst = top.deviation[[int(np.argmax(np.abs(top.deviation)))]]
+    off = deviations(top, top.points, top.normals, spec.smoothing)
+    layers = np.full(len(off), max(judged.toolpath.layers - spec.after_layer, 0))
     over, metrics = _over_print(judged, spec)
     return Findings(
         (*_begins_above(judged, spec), *over),
         {
-            "print_off_max_mm": float(np.abs(worst[0])) * 1e3,
-            "print_left_off_max_mm": float(np.abs(still_off(worst, spec.most, layers)[0])) * 1e3,
+            "print_off_max_mm": float(np.abs(off).max()) * 1e3,
+            "print_left_off_max_mm": float(np.abs(still_off(off, spec.most, layers)).max()) * 1e3,
             **metrics,
         },
     )
@@ -61,6 +61,12 @@ def _over_print(judged: Judged, spec: AsPrintedSpec) -> tuple[list[Check], dict[
     ok = bool(off[i] <= OVER_PRINT * (1.0 + DIGITS)) and seen >= _MAP_SHARE
     where = place(t, int(at[i])) if seen >= _MAP_SHARE else f"{seen:.0%} of the layer have measured places around"
     worst = Check(
-        "nozzle over the print", float(off[i]) * 1e3, OVER_PRINT * 1e3, "mm off the bead's height", ok, where, sample=int(at[i])
+        "nozzle over the print",
+        float(off[i]) * 1e3,
+        OVER_PRINT * 1e3,
+        "mm off the bead's height",
+        ok,
+        where,
+        sample=int(at[i]),
     )
     return [worst], {"over_print_error_max_mm": float(off[i]) * 1e3}
