@@ -10,9 +10,10 @@ are planned on it, and the executed tips are held against the true tops.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,7 +22,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
+from planner.base.command_line import one_of
 from planner.base.errors import InputError
+from planner.base.shipped import PROBLEMS
 from planner.feedback.height_map import HeightMap, height_map, planned_top
 from planner.feedback.scan_telling import bound_of, write_map, write_problem
 from planner.plan import Plan
@@ -40,28 +43,83 @@ SHARE = 0.3  # of a bead's height, by which it may change
 
 @dataclass(frozen=True)
 class ScannedPrint:
-    """What is printed in the benchmark: a shipped problem, its changes, the layer that is scanned."""
+    """What is printed: a shipped problem, its changes, the layer that is scanned, and what writes its source, if any."""
 
     name: str
+    base: str
     changes: tuple[str, ...]
     layer: int
+    write: Callable[[Path], str] | None = None
+
+    def problem(self, folder: Path) -> Problem:
+        """The problem, whose source is written into a folder."""
+        changes = self.changes if self.write is None else (*self.changes, self.write(folder), f"name={self.name}")
+        return load_problem(self.base, changes)
 
 
+def box(folder: Path) -> str:
+    """G-code of the shipped box, its first two layers again and again; written into a folder, as a `--set`."""
+    text = (PROBLEMS / "planar_box.gcode").read_text(encoding="utf-8")
+    head, *layers = text.split(";LAYER_CHANGE\n")
+    parts = [head]
+    for k in range(LAYERS):
+        old, new = ((k % 2 + 1) * BOX_HEIGHT_MM, (k + 1) * BOX_HEIGHT_MM)
+        parts.append(layers[k % 2].replace(f";Z:{old:g}\n", f";Z:{new:g}\n").replace(f"G1 Z{old:g} ", f"G1 Z{new:g} "))
+    file = folder / "box.gcode"
+    file.write_text(";LAYER_CHANGE\n".join([*parts]), encoding="utf-8")
+    return f"layers.source.gcode={file}"
+
+
+def cap(folder: Path) -> str:
+    """Waypoints of a spiral on a cap, in layers along its normals; written into a folder, as a `--set`."""
+    turns = CAP_ANGLE * CAP_RADIUS / CAP_PITCH
+    dense = np.linspace(0.02, 1.0, 20_000)
+    polar = dense * CAP_ANGLE
+    azimuth = 2.0 * np.pi * turns * dense
+    normal = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(CAP_RADIUS * normal, axis=0), axis=1))])
+    at = np.interp(np.arange(0.0, arc[-1], 1.0), arc, dense)
+    polar, azimuth = at * CAP_ANGLE, 2.0 * np.pi * turns * at
+    normal = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    layers = []
+    for k in range(LAYERS):
+        number = np.full((len(normal), 2), k)
+        layers.append(np.hstack([(CAP_RADIUS + k * HEIGHT_MM) * normal, normal, number]))
+    file = folder / "cap.csv"
+    np.savetxt(file, np.vstack(layers), delimiter=",", header="x,y,z,nx,ny,nz,bead,layer", comments="", fmt="%.9g")
+    return f"layers.source.waypoints={file}"
+
+
+LAYERS, HEIGHT_MM, BOX_HEIGHT_MM = 9, 0.5, 0.3
+CAP_RADIUS, CAP_ANGLE, CAP_PITCH = 120.0, np.radians(13.0), 1.8  # mm
 PRINTS = (
-    ScannedPrint("hemisphere_honeycomb", ("layers.count=9",), 3),
-    ScannedPrint("cylinder_logo", ("layers.count=10",), 4),
-    ScannedPrint("planar_gcode", (), 1),
+    ScannedPrint("hemisphere_honeycomb", "hemisphere_honeycomb", ("layers.count=9",), 3),
+    ScannedPrint("cylinder_logo", "cylinder_logo", ("layers.count=10",), 4),
+    ScannedPrint("cap", "peer_cap", (), 3, cap),
+    ScannedPrint("box", "planar_gcode", (), 3, box),
 )
 
 
-def pattern(points: Array) -> Array:
-    """How far the print is off (n) [m] at places (n, 3) of a layer's top."""
-    phase = 2.0 * np.pi * points / np.asarray(WAVES)
-    return np.asarray(OFF * np.sin(phase[:, 0] + 0.7) * np.cos(phase[:, 1]) * np.cos(phase[:, 2] + 0.3))
+@dataclass(frozen=True)
+class Truth:
+    """How far a print is off: waves about the middle (3) [m] of a layer's top."""
+
+    middle: Array
+
+    @classmethod
+    def of(cls, toolpath: Toolpath, layer: int) -> Truth:
+        """That of a layer, counted from 1."""
+        return cls(_tops(toolpath, layer - 1).mean(axis=0))
+
+    def at(self, points: Array) -> Array:
+        """How far the print is off (n) [m] at places (n, 3) of the top."""
+        x, y, z = (2.0 * np.pi * (points - self.middle) / np.asarray(WAVES)).T
+        return np.asarray(OFF * np.sin(x + 0.7) * np.cos(y) * np.cos(z))
 
 
 def scanned(toolpath: Toolpath, layer: int, seed: int = 0, noise: float = NOISE) -> Array:
     """A cloud (n, 3) [m] of the true top of a layer, counted from 1: noisy, with outliers and holes."""
+    truth = Truth.of(toolpath, layer)
     random = np.random.default_rng(seed)
     clouds = []
     for bead in toolpath.beads:
@@ -83,7 +141,7 @@ def scanned(toolpath: Toolpath, layer: int, seed: int = 0, noise: float = NOISE)
     while kept.mean() > 1.0 - HOLES:
         kept &= np.linalg.norm(places - places[random.integers(len(places))], axis=1) > HOLE
     places, normals = places[kept], normals[kept]
-    height = pattern(places) + noise * random.standard_normal(len(places))
+    height = truth.at(places) + noise * random.standard_normal(len(places))
     wild = random.random(len(places)) < OUTLIERS
     height[wild] += random.uniform(-FAR_OUT, FAR_OUT, int(wild.sum()))
     return np.asarray(places + height[:, None] * normals)
@@ -110,7 +168,7 @@ class Outcome:
 
 def outcome(print_: ScannedPrint, folder: Path, seed: int = 0) -> Outcome:
     """Scan, correct and verify one print; files go into a folder."""
-    problem = load_problem(print_.name, print_.changes)
+    problem = print_.problem(folder)
     toolpath = build_toolpath(problem)
     cloud = scanned(toolpath, print_.layer, seed)
     begun = time.perf_counter()
@@ -124,7 +182,7 @@ def outcome(print_: ScannedPrint, folder: Path, seed: int = 0) -> Outcome:
     corrected = load_problem(target, problem.sources.overrides)
     plan = solve(corrected, baseline=False)
     planned = time.perf_counter()
-    off = found.smoothed - pattern(found.top.middle)
+    off = found.smoothed - Truth.of(toolpath, print_.layer).at(found.top.middle)
     errors = _errors(problem, toolpath, plan, print_.layer)
     seconds = (mapped - begun, planned - mapped)
     return Outcome(found, plan, seconds, (float(np.abs(off).max()), float(np.sqrt((off**2).mean()))), *errors)
@@ -136,7 +194,8 @@ def _errors(
     """By layer above the scanned one: nozzle over the true top less the bead's height, less the drawn one; what is left."""
     t, over, nominal, left = plan.trajectory, [], [], []
     beneath = _tops(drawn, layer - 1)
-    true = pattern(beneath)
+    truth = Truth.of(drawn, layer)
+    true = truth.at(beneath)
     for level in range(layer, drawn.layers):
         own = [i for i, bead in enumerate(drawn.beads) if bead.layer == level]
         at = np.flatnonzero(t.deposit & np.isin(t.bead, own))
@@ -161,7 +220,7 @@ def _errors(
         feet = tips - (level - layer + 1) * drawn_high[:, None] * np.vstack(normal)
         # the true top beneath: as scanned, then what was laid on it, by the nozzle's height over it
         if level == layer:
-            true = pattern(feet)
+            true = truth.at(feet)
         else:
             true = true[cKDTree(beneath).query(feet)[1]]
         over.append(float(np.abs(rises + drawn_high - true - laid).max()))
@@ -175,12 +234,12 @@ def _tops(toolpath: Toolpath, level: int) -> Array:
     return np.vstack([bead.points for bead in toolpath.beads if bead.layer == level])
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     names = [each.name for each in PRINTS]
     parser.add_argument(
-        "prints", nargs="*", choices=[*names, []], default=names, metavar="PRINT", help=", ".join(names)
+        "prints", nargs="*", type=one_of(names), metavar="PRINT", help=f"of {', '.join(names)} (default all)"
     )
     chosen = parser.parse_args(arguments).prints or names
     for print_ in PRINTS:
@@ -190,6 +249,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             found = outcome(print_, Path(folder))
         verdict = "verified" if found.plan.verified else "NOT verified"
         print(f"{print_.name}, scanned after layer {print_.layer} of {found.plan.toolpath.layers}: {verdict}")
+        for check in found.plan.checks:
+            if not check.ok:
+                print(f"  {check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})")
         print(
             f"  map: {found.map.covered:.1%} of {len(found.map.measured)} cells measured, noise {found.map.noise * 1e3:.3f} mm;"
         )
@@ -198,7 +260,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print("  layer  nozzle over print: off its bead, off the drawing;  top left off, mm")
         for k, row in enumerate(zip(found.over, found.beside_nominal, found.left, strict=True)):
             print("  {:5d}  {:8.3f} {:8.3f} {:8.3f}".format(print_.layer + 1 + k, *(1e3 * value for value in row)))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

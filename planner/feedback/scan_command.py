@@ -127,6 +127,8 @@ def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> Scanne
         if abs(now - was) > _LENGTH * was:
             reason = f"{was * 1e3:.1f} mm of beads were planned, and its problem now has {now * 1e3:.1f}"
             raise InputError(reason, file=path, hint="plan it again, or put the problem's files back as they were")
+    if any(bead.round for bead in toolpath.beads):
+        raise InputError("prints struts in space, which have no top that others lie on", file=given)
     return ScannedPlan(problem, toolpath)
 
 

@@ -181,6 +181,8 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     if spec is None:
         return toolpath
     printed = printed_beads(problem, toolpath)
+    if any(bead.round for bead in toolpath.beads):
+        raise problem.error("as_printed", "struts in space have no top that others lie on", "leave it out")
     least = min(float(bead.height.min()) for bead in toolpath.beads[printed:])
     if spec.most > MOST_SHARE * least:
         reason = f"is more than half of a bead, which is {least * 1e3:g} mm high"

@@ -13,7 +13,7 @@ from planner.verify.scanned import deviations, normals_along, over_print, scanne
 
 OVER_PRINT = 0.1e-3  # m, by which the nozzle may be higher or lower over the print than its bead is high
 _LOOKS = 4000  # places of the first layer above
-_MAP_SHARE = 0.5  # of those, at least, that measured places of the map lie around
+_MAP_SHARE = 0.1  # of those, at least, that measured places of the map lie around: beads may bridge what lies beneath
 
 
 def as_printed(judged: Judged) -> Findings:

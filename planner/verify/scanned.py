@@ -28,6 +28,7 @@ _RIDGE = 1e-3  # of the squared radius, by which slopes are held level
 _FACING = 0.5  # least cosine between a node's normal and the place's
 _HEIGHTS = 60  # samples of a bead at which its height is looked at
 _NEAR = 0.5  # of the radius, within which the print's height is told
+_AMID = 0.3  # of that, by which the middle of the places may be beside the tip
 _FEWEST = 4  # measured places around, from which the print's height is told
 _MEASURED = "measured"
 _FIELDS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")
@@ -152,7 +153,8 @@ def over_print(top: ScannedTop, tips: Array, normals: Array, radius: float) -> A
 
 
 def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
-    """The middle (k) of planes through heights (m) around feet, by least squares; NaN for fewer than there must be."""
+    """The middle (k) of planes through heights (m) around feet, by least squares; NaN where there are too few, or these lie
+    to one side."""
     count = np.bincount(of, minlength=k)
     rows = np.concatenate([np.ones((len(of), 1)), way / radius], axis=1)
     matrix, right = np.zeros((k, 4, 4)), np.zeros((k, 4))
@@ -163,7 +165,11 @@ def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
     matrix[:, (1, 2, 3), (1, 2, 3)] += 0.01 * np.maximum(count, 1)[:, None]
     matrix[:, 0, 0] += count == 0
     found = np.linalg.solve(matrix, right[:, :, None])[:, 0, 0]
-    return np.where(count >= _FEWEST, found, np.nan)
+    aside = np.linalg.norm(
+        np.stack([np.bincount(of, column, minlength=k) for column in way.T], axis=1) / np.maximum(count, 1)[:, None],
+        axis=1,
+    )
+    return np.where((count >= _FEWEST) & (aside <= _AMID * radius), found, np.nan)
 
 
 def normals_along(toolpath: Toolpath, t: Trajectory, at: Ints) -> Array:
