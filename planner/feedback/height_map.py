@@ -147,10 +147,12 @@ def check_size(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
         float(np.linalg.norm(np.subtract(*np.quantile(x, (0.98, 0.02), axis=0)))) for x in (top.middle, cloud)
     )
     ratio = theirs / max(ours, 1e-12)
-    for factor, unit in ((1e3, "m"), (1e-3, "mm")):
-        if 1.0 / _ALIKE < ratio * factor < _ALIKE:
-            size = f"{theirs * 1e3:.4g} mm across, and the layer {ours * 1e3:.4g} mm"
-            raise complain(f"is {size}: its unit is another one", hint=f"--unit {unit}")
+    for factor in (1e3, 1e-3):
+        if 1.0 / _ALIKE < ratio / factor < _ALIKE:
+            size = f"{theirs * 1e3:.4g} mm across, about {factor:g} times the layer's {ours * 1e3:.4g} mm"
+            raise complain(
+                f"is {size}: its unit is another one", hint="--unit m or mm; without it mm, or what its header says"
+            )
 
 
 def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
