@@ -15,7 +15,6 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from planner.base.command_line import one_of
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.feedback.height_map import HeightMap, height_map, planned_top
+from planner.feedback.scan_command import SHARE, SMOOTHED
 from planner.feedback.scan_telling import bound_of, write_map, write_problem
 from planner.plan import Plan
 from planner.planning.pipeline import solve
@@ -38,7 +38,6 @@ NOISE, OUTLIERS, FAR_OUT = 0.05e-3, 0.05, 3e-3  # m; share of the points; m
 HOLES, HOLE = 0.1, 3e-3  # share of the area; radius of one [m]
 APART = 0.15e-3  # m between points
 WAVES = (40e-3, 55e-3, 70e-3)  # m: of the pattern in x, y and z of the part
-SHARE = 0.3  # of a bead's height, by which it may change
 
 
 @dataclass(frozen=True)
@@ -172,8 +171,7 @@ def outcome(print_: ScannedPrint, folder: Path, seed: int = 0) -> Outcome:
     toolpath = build_toolpath(problem)
     cloud = scanned(toolpath, print_.layer, seed)
     begun = time.perf_counter()
-    radius = 5.0 * float(np.mean([bead.width.mean() for bead in toolpath.beads]))
-    found = height_map(planned_top(toolpath, print_.layer), cloud, radius, partial(InputError, file=folder))
+    found = height_map(planned_top(toolpath, print_.layer), cloud, radius_of(toolpath), InputError)
     mapped = time.perf_counter()
     write_map(found, folder / "height_map.csv")
     target = folder / f"{print_.name}.yaml"
@@ -186,6 +184,25 @@ def outcome(print_: ScannedPrint, folder: Path, seed: int = 0) -> Outcome:
     errors = _errors(problem, toolpath, plan, print_.layer)
     seconds = (mapped - begun, planned - mapped)
     return Outcome(found, plan, seconds, (float(np.abs(off).max()), float(np.sqrt((off**2).mean()))), *errors)
+
+
+def map_errors(print_: ScannedPrint, seeds: int) -> Array:
+    """Errors [m] of the map (seeds, 3), for so many scans of a print: root mean square, greatest in measured cells, and in
+    those that are interpolated."""
+    with tempfile.TemporaryDirectory() as folder:
+        toolpath = build_toolpath(print_.problem(Path(folder)))
+    top, truth, radius = planned_top(toolpath, print_.layer), Truth.of(toolpath, print_.layer), radius_of(toolpath)
+    rows = []
+    for seed in range(seeds):
+        found = height_map(top, scanned(toolpath, print_.layer, seed), radius, InputError)
+        off = np.abs(found.smoothed - truth.at(top.middle))
+        rows.append((np.sqrt((off**2).mean()), off[found.measured].max(), off[~found.measured].max(initial=0.0)))
+    return np.array(rows)
+
+
+def radius_of(toolpath: Toolpath) -> float:
+    """Over which the map is smoothed [m]: as the command does."""
+    return SMOOTHED * float(np.mean([bead.width.mean() for bead in toolpath.beads]))
 
 
 def _errors(
@@ -241,9 +258,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "prints", nargs="*", type=one_of(names), metavar="PRINT", help=f"of {', '.join(names)} (default all)"
     )
-    chosen = parser.parse_args(arguments).prints or names
+    parser.add_argument(
+        "--seeds", type=int, metavar="N", help="errors of the maps of N scans each, and nothing planned"
+    )
+    options = parser.parse_args(arguments)
+    chosen = options.prints or names
     for print_ in PRINTS:
         if print_.name not in chosen:
+            continue
+        if options.seeds:
+            rms, measured, holes = (map_errors(print_, options.seeds) * 1e3).T
+            print(
+                f"{print_.name}: {rms.mean():.3f} mm rms; at most, median and worst of {options.seeds}: "
+                f"{np.median(measured):.3f}, {measured.max():.3f} measured; {np.median(holes):.3f}, {holes.max():.3f} in holes"
+            )
             continue
         with tempfile.TemporaryDirectory() as folder:
             found = outcome(print_, Path(folder))

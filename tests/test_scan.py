@@ -396,7 +396,6 @@ def test_what_is_told() -> None:
 # Planned and verified.
 
 
-@pytest.mark.slow
 def test_the_rest_of_the_print_is_planned_on_it_and_verified() -> None:
     plan = solved()
     assert plan.verified, failed(plan.checks)
@@ -432,7 +431,6 @@ def test_what_was_not_corrected_fails(tmp_path: Path) -> None:
     assert {"nozzle over the print", "layers on the part"} <= failed(spoilt.checks)
 
 
-@pytest.mark.slow
 def test_another_map_fails(tmp_path: Path) -> None:
     plan, problem = solved(), corrected(tmp_path)
     assert problem.as_printed is not None
@@ -443,6 +441,9 @@ def test_another_map_fails(tmp_path: Path) -> None:
     problem.as_printed.map.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]), encoding="utf-8")
     spoilt = verify(problem, plan.cell, plan.toolpath, plan.trajectory)
     assert {"nozzle over the print", "beads as wide and high as asked", "layers on the part"} <= failed(spoilt.checks)
+    problem.as_printed.map.unlink()
+    with pytest.raises(InputError, match="cannot be read again"):
+        verify(problem, plan.cell, plan.toolpath, plan.trajectory)
 
 
 @pytest.mark.slow
@@ -526,7 +527,6 @@ def test_plans_that_there_are_not(tmp_path: Path) -> None:
     assert scanned_plan(str(tmp_path / "empty")).toolpath.length == pytest.approx(drawn()[1].length)
 
 
-@pytest.mark.slow
 def test_a_saved_plan_and_its_inputs(tmp_path: Path) -> None:
     problem = tmp_path / "mine.yaml"
     shipped = drawn()[0].file.read_text(encoding="utf-8")

@@ -33,7 +33,7 @@ _ODD, _LEAST_ODD = (
     0.1e-3,
 )  # robust deviations, and m, by which a cell is off what lies around it when it is left out
 _ROUNDS = 3
-_GROWN = 2.0  # times the radius, step by step, from which holes are interpolated
+_GROWN = 2.5  # times the radius, step by step, from which holes are interpolated
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,9 @@ def _filled(top: PlannedTop, deviation: Array, measured: Flags, radius: float) -
     grown = np.ceil(np.maximum(np.log(np.maximum(_GROWN * away / radius, 1.0)) / np.log(_GROWN), 0.0))
     for step in np.unique(grown):
         own = holes[grown == step]
-        field = HeightField(top.middle[measured], top.out[measured], deviation[measured], radius * _GROWN**step)
+        field = HeightField(
+            top.middle[measured], top.out[measured], deviation[measured], radius * _GROWN**step, bent=True
+        )
         out[own] = field.at(top.middle[own], top.out[own])
     return out, float(away.max())
 

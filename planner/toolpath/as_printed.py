@@ -47,12 +47,14 @@ class HeightField(ReadOnlyArrays):
     points (n, 3)   on the planned top of a layer, part frame [m];  normals (n, 3) outward, of unit length
     deviation (n)   of the printed top along the normal [m]
     radius          within which nodes count [m]
+    bent            whether regression is quadratic, as holes ask for, instead of linear
     """
 
     points: Array
     normals: Array
     deviation: Array
     radius: float
+    bent: bool = False
 
     def at(self, places: Array, normals: Array) -> Array:
         """Smoothed deviation (k) [m] beneath places (k, 3) of any layer whose unit normals are (k, 3)."""
@@ -88,16 +90,19 @@ class HeightField(ReadOnlyArrays):
         way = self.points[node] - foot[of]
         x, y = (way * first[of]).sum(axis=1), (way * second[of]).sum(axis=1)
         weight = wendland(np.hypot(x, y) / self.radius)
-        rows = np.stack([np.ones(len(of)), x / self.radius, y / self.radius], axis=1)
-        matrix, right = np.empty((k, 3, 3)), np.empty((k, 3))
-        for i in range(3):
-            right[:, i] = np.bincount(of, weight * rows[:, i] * self.deviation[node], minlength=k)
-            for j in range(3):
-                matrix[:, i, j] = np.bincount(of, weight * rows[:, i] * rows[:, j], minlength=k)
+        x, y = x / self.radius, y / self.radius
+        rows = [np.ones(len(of)), x, y, *((x * x, x * y, y * y) if self.bent else ())]
+        m = len(rows)
+        matrix, right = np.empty((k, m, m)), np.empty((k, m))
+        for i in range(m):
+            right[:, i] = np.bincount(of, weight * rows[i] * self.deviation[node], minlength=k)
+            for j in range(m):
+                matrix[:, i, j] = np.bincount(of, weight * rows[i] * rows[j], minlength=k)
         total = matrix[:, 0, 0]
         none = total <= 0.0
-        matrix[none] = np.eye(3)
-        matrix[:, (1, 2), (1, 2)] += LEVELLING * np.where(none, 1.0, total)[:, None]
+        matrix[none] = np.eye(m)
+        slopes = np.arange(1, m)
+        matrix[:, slopes, slopes] += LEVELLING * np.where(none, 1.0, total)[:, None]
         found = np.linalg.solve(matrix, right[:, :, None])[:, 0, 0]
         return np.where(none, self.deviation[near], found)
 
@@ -195,6 +200,8 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
         f"layers above layer {spec.after_layer} are laid on what is printed, which is off by up to "
         f"{np.abs(off).max() * 1e3:.2f} mm; {np.abs(over).max() * 1e3:.2f} mm of that are left on top"
     )
+    if problem.process.extruder.motor == "on_off":
+        note += "; its motor is on or off, so that flow follows from bead to bead only, not within one"
     return replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
 
 

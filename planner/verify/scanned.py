@@ -16,6 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.errors import InputError
 from planner.plan import Trajectory
 from planner.problem.as_printed import AsPrintedSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -61,9 +62,14 @@ class ScannedTop:
 
 
 def scanned_top(spec: AsPrintedSpec) -> ScannedTop:
-    """The map that a problem names."""
-    stamp = spec.map.stat()
-    return _read(spec.map, stamp.st_mtime_ns, stamp.st_size)
+    """The map that a problem names. Raises InputError where it is not there any more, or none."""
+    try:
+        stamp = spec.map.stat()
+        return _read(spec.map, stamp.st_mtime_ns, stamp.st_size)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            "cannot be read again as a height map", file=spec.map, hint="beadwise scan writes it"
+        ) from error
 
 
 @lru_cache(maxsize=2)
