@@ -1,6 +1,6 @@
 """Prints that are off by known errors, scanned, corrected and verified: how near the nozzle is to where it is to be.
 
-python -m benchmarks.scan [PRINT …]
+python -m benchmarks.scan [PRINT …] [--seeds 20] [--picture map.png] [--cloud cloud.xyz]
 
 A layer's top is moved along its normals by a smooth pattern of up to 0.8 mm and sampled as a scanner would: 0.05 mm of noise,
 5 % of the points thrown off by millimetres, holes in 10 % of the area. The map is found from the cloud alone, the layers above
@@ -26,7 +26,7 @@ from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.feedback.height_map import HeightMap, height_map, planned_top
 from planner.feedback.scan_command import SHARE, SMOOTHED
-from planner.feedback.scan_telling import bound_of, write_map, write_problem
+from planner.feedback.scan_telling import bound_of, layer_heights, write_map, write_picture, write_problem
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -251,6 +251,24 @@ def _tops(toolpath: Toolpath, level: int) -> Array:
     return np.vstack([bead.points for bead in toolpath.beads if bead.layer == level])
 
 
+def _write(print_: ScannedPrint, picture: Path | None, cloud: Path | None) -> None:
+    """Write the picture of a print's map, or the scan that it is found in, or both."""
+    with tempfile.TemporaryDirectory() as folder:
+        toolpath = build_toolpath(print_.problem(Path(folder)))
+    found = scanned(toolpath, print_.layer)
+    if cloud is not None:
+        np.savetxt(cloud, found * 1e3, fmt="%.4f")
+        print(
+            f"{cloud}: {' '.join(('beadwise scan', print_.base, str(cloud), f'--after-layer {print_.layer}'))} "
+            f"{' '.join(f'--set {each}' for each in print_.changes)}"
+        )
+    if picture is not None:
+        top = planned_top(toolpath, print_.layer)
+        most = bound_of(toolpath, print_.layer, SHARE)
+        mapped = height_map(top, found, radius_of(toolpath), InputError)
+        write_picture(mapped, print_.layer, layer_heights(toolpath, print_.layer), most, picture)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the tables; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -261,11 +279,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--seeds", type=int, metavar="N", help="errors of the maps of N scans each, and nothing planned"
     )
+    parser.add_argument("--picture", type=Path, metavar="PNG", help="the map of the first of them, and nothing planned")
+    parser.add_argument(
+        "--cloud", type=Path, metavar="FILE", help="a scan of the first of them (.xyz), and nothing planned"
+    )
     options = parser.parse_args(arguments)
     chosen = options.prints or names
     for print_ in PRINTS:
         if print_.name not in chosen:
             continue
+        if options.picture or options.cloud:
+            _write(print_, options.picture, options.cloud)
+            break
         if options.seeds:
             rms, measured, holes = (map_errors(print_, options.seeds) * 1e3).T
             print(
