@@ -95,6 +95,7 @@ PRINTS = (
     ScannedPrint("hemisphere_honeycomb", "hemisphere_honeycomb", ("layers.count=9",), 3),
     ScannedPrint("cylinder_logo", "cylinder_logo", ("layers.count=10",), 4),
     ScannedPrint("cap", "peer_cap", (), 3, cap),
+    ScannedPrint("saddle_ring", "saddle_ring", (), 3),
     ScannedPrint("box", "planar_gcode", (), 3, box),
 )
 
