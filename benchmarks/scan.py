@@ -25,7 +25,7 @@ from planner.base.command_line import one_of
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.feedback.height_map import HeightMap, height_map, planned_top
-from planner.feedback.scan_command import SHARE, SMOOTHED
+from planner.feedback.scan_command import SHARE, radius_of
 from planner.feedback.scan_telling import bound_of, layer_heights, write_map, write_picture, write_problem
 from planner.plan import Plan
 from planner.planning.pipeline import solve
@@ -199,11 +199,6 @@ def map_errors(print_: ScannedPrint, seeds: int) -> Array:
         off = np.abs(found.smoothed - truth.at(top.middle))
         rows.append((np.sqrt((off**2).mean()), off[found.measured].max(), off[~found.measured].max(initial=0.0)))
     return np.array(rows)
-
-
-def radius_of(toolpath: Toolpath) -> float:
-    """Over which the map is smoothed [m]: as the command does."""
-    return SMOOTHED * float(np.mean([bead.width.mean() for bead in toolpath.beads]))
 
 
 def _errors(

@@ -18,6 +18,7 @@ from planner.toolpath.as_printed import HeightField
 from planner.toolpath.bead import Toolpath
 
 ACROSS = 0.3  # of a bead's width to either side: there its top is flat, farther out it falls away
+LONGEST_CELL = 3e-3  # m along and across a bead: over more, a print may bend
 WINDOW = 3e-3  # m: a print farther off is elsewhere, or has failed
 FEWEST = 4  # points of a cell: the median of fewer can be an outlier
 SCATTER = 0.35e-3  # m, robust deviation of a cell's points: more are of two surfaces
@@ -95,7 +96,7 @@ def planned_top(toolpath: Toolpath, layer: int) -> PlannedTop:
         if bead.layer != layer - 1:
             continue
         width = float(bead.width.mean())
-        count = max(int(np.ceil(bead.length / width)), 1)
+        count = max(int(np.ceil(bead.length / min(width, LONGEST_CELL))), 1)
         per = max(int(np.ceil(1.0 / _DENSE)), 2)
         s = (np.arange(count * per) + 0.5) * bead.length / (count * per)
         middles = (np.arange(count) + 0.5) * bead.length / count
@@ -184,7 +185,7 @@ def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
     way = cloud[there] - top.points[near]
     height = (way * top.normals[near]).sum(axis=1)
     aside = np.linalg.norm(way - height[:, None] * top.normals[near], axis=1)
-    kept = (aside <= ACROSS * top.width[near]) & (np.abs(height) <= WINDOW)
+    kept = (aside <= np.minimum(ACROSS * top.width[near], 0.5 * LONGEST_CELL)) & (np.abs(height) <= WINDOW)
     return height[kept], top.cell[near[kept]].astype(np.int64)
 
 

@@ -47,7 +47,7 @@ from planner.toolpath.build import build_toolpath
 
 RESULTS_BY = "scan"  # whose files they are, in manifests
 SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
-SMOOTHED = 5.0  # widths of a bead: a few beads' cells, and far less than a nozzle's way to rise and fall
+SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
 _LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
 _SAVED = (".npz", ".plan")
 
@@ -71,7 +71,7 @@ def _run(options: argparse.Namespace) -> int:
     layer, complain = options.after_layer, partial(InputError, field="--after-layer")
     beads_up_to([bead.layer for bead in plan.toolpath.beads], layer, complain)
     most = bound_of(plan.toolpath, layer, options.share)
-    radius = options.smoothing or SMOOTHED * float(np.mean([bead.width.mean() for bead in plan.toolpath.beads]))
+    radius = options.smoothing or radius_of(plan.toolpath)
     found, fit = _measured(options, plan, radius)
     heights = layer_heights(plan.toolpath, layer)
     name = plan.problem.name.partition("_after_")[0]
@@ -90,6 +90,11 @@ def _run(options: argparse.Namespace) -> int:
     given += ["--strategy", options.strategy] if options.strategy else []
     given += ["--quiet"] if options.quiet else []
     return solve_main([*given, *(["--out", str(folder)] if options.out else [])])
+
+
+def radius_of(toolpath: Toolpath) -> float:
+    """Over which a map is smoothed [m], where nobody says."""
+    return min(SMOOTHED * float(np.mean([bead.width.mean() for bead in toolpath.beads])), SMOOTHED_MOST)
 
 
 def _measured(options: argparse.Namespace, plan: ScannedPlan, radius: float) -> tuple[HeightMap, CloudFit | None]:
@@ -227,7 +232,7 @@ def scan_command() -> Command:
         dest="smoothing",
         type=_millimetres,
         metavar="MM",
-        help="radius over which the map is smoothed (default: five widths of a bead)",
+        help="radius over which the map is smoothed (default: five widths of a bead, 15 at most)",
     )
     add_set(parser)
     add_strategy(parser)
