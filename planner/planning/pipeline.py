@@ -286,11 +286,12 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
 def _above_what_is_printed(problem: Problem, toolpath: Toolpath, first_bead: int) -> int:
     """The first bead to print: of a print that was scanned none that is there. Raises InputError where it is to be."""
     printed = printed_beads(problem, toolpath)
+    if first_bead == 0:
+        return printed
     if 0 < first_bead < printed:
-        raise InputError(
-            f"bead {first_bead} is printed already, as as_printed says", hint=f"{printed} is the first above"
-        )
-    return max(first_bead, printed)
+        reason = f"bead {first_bead} is printed already, as as_printed says"
+        raise InputError(reason, hint=f"{printed} is the first above")
+    return first_bead
 
 
 Planned = tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]  # what was planned, the plan, and its maps of roll
@@ -452,7 +453,7 @@ def _planned_in_pieces(
     if whole is None:
         raise refusal or RuntimeError("no plan and no refusal")
     first_bead = _above_what_is_printed(given.problem, whole[0].toolpath, first_bead)
-    if first_bead > whole[0].first_bead:
+    if first_bead != whole[0].first_bead:
         rest = replace(whole[0], first_bead=_within(first_bead, whole[0].toolpath))
         whole = _planned(strategy, rest, dt, stages, shared, rounds=0)
     return whole
