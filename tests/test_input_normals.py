@@ -48,7 +48,9 @@ def found(problem: Any, tip: Array, axis: Array, bead: Array | None = None) -> F
     n = len(tip)
     beads = np.zeros(n, dtype=np.int64) if bead is None else bead
     t = SimpleNamespace(deposit=beads >= 0, bead=beads, t=0.004 * np.arange(n), s=np.zeros(n))
-    judged: Any = SimpleNamespace(problem=problem, trajectory=t, motion=SimpleNamespace(tip=tip, axis=axis))
+    judged: Any = SimpleNamespace(
+        problem=problem, trajectory=t, motion=SimpleNamespace(tip=tip, axis=axis), drawn_tip=tip
+    )
     return file_normals(judged)
 
 

@@ -144,6 +144,7 @@ def found(
         problem=problem,
         toolpath=toolpath,
         trajectory=trajectory,
+        drawn_tip=motion.tip,
         motion=motion,
         body=body or print_body(toolpath),
         commanded=asked_speeds(problem.process, toolpath),

@@ -13,7 +13,7 @@ SOURCES = ROOT / "planner"
 # Rooms of planner/ in layers: a room imports from those in layers before its own, and from itself.
 LAYERS = (
     "base", "problem", "cell", "toolpath", "collision", "resolve", "plan", "motion", "verify", "export report", "planning",
-    "demo solve check robots new place register view link simulate reference",
+    "demo solve check robots new place register feedback view link simulate reference",
 )  # fmt: skip
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {
@@ -34,7 +34,7 @@ HEAVY = {
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"problem.cad_facets", "toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},
-    "trimesh": {"problem.mesh_files", "export.tables", "report.picture"},
+    "trimesh": {"problem.mesh_files", "export.tables", "report.picture", "feedback.scan_cloud"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},
     "ruamel": {"problem"},
@@ -42,7 +42,7 @@ HEAVY = {
     "osqp": {"resolve.reference"},
     "toppra": {"motion.timing.toppra_profile"},
     "jinja2": {"report.templates"},
-    "matplotlib": {"report", "place.command", "register.telling"},
+    "matplotlib": {"report", "place.command", "register.telling", "feedback.scan_telling"},
     "plotly": set(),
     "tornado": {"view.server"},
     "distributed": {"base.distribution"},

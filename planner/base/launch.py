@@ -37,6 +37,7 @@ COMMANDS = {
     ),
     "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
+    "scan": CommandModule("planner.feedback.scan_command", "the rest of a print, laid on what a scan finds of it"),
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
     "stream": CommandModule("planner.link.streaming", "send moves to a controller while it runs them"),

@@ -89,18 +89,21 @@ class _Stretch:
 def find_dips(
     problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], trajectory: Trajectory
 ) -> tuple[Dip, ...]:
-    """All dips of a trajectory along its joint paths, in order of time, each with its cause and remedies."""
+    """All dips of a trajectory along its joint paths, in order of time, each with its cause and remedies.
+
+    paths: of all beads, or of the last ones
+    """
     t, commanded = trajectory, np.array([bead.commanded(problem.process.speed) for bead in toolpath.beads])
     slow = np.flatnonzero(t.deposit & (t.speed < AT_SPEED * commanded[t.bead]))
     if len(slow) == 0:
         return ()
     cut = np.flatnonzero((np.diff(slow) > MERGE + 1) | (np.diff(t.bead[slow]) != 0)) + 1
-    dips = []
+    dips, before = [], len(toolpath.beads) - len(paths)
     line: _BeadContext | None = None
     for first, last in zip(slow[np.append(0, cut)], slow[np.append(cut - 1, -1)], strict=True):
         i = int(t.bead[first])
         if line is None or line.path.task.bead != i:
-            line = _line(cell, toolpath.beads[i], paths[i], problem.process.corner_tolerance)
+            line = _line(cell, toolpath.beads[i], paths[i - before], problem.process.corner_tolerance)
         dips.append(_dip(problem, line, t, int(first), int(last)))
     return tuple(dips)
 

@@ -32,6 +32,7 @@ ONLY_FILLED = "a wing, a mesh or STEP faces are printed"
 ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may turn the nozzle from its normals"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
+ONLY_SCANNED = "as_printed is given"
 ONLY_BOUNDED = (
     "process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
     "are free (positioner, rail, an arm of seven axes)"
@@ -162,6 +163,24 @@ METRICS: dict[str, Measure] = {
         "mm",
         "how deep the nozzle presses into beads printed before, at most",
         "the nozzle's outline against balls laid anew by the executed tip; 0 where it touches them at most",
+    ),
+    "print_off_max_mm": Measure(
+        "mm",
+        "how far the top of the scanned layer is from where it was drawn, at most",
+        "the height map, smoothed anew by other code",
+        ONLY_SCANNED,
+    ),
+    "print_left_off_max_mm": Measure(
+        "mm",
+        "how far the top of the last layer is from where it was drawn, at most",
+        "print_off_max_mm less what each layer above the scanned one makes up for",
+        ONLY_SCANNED,
+    ),
+    "over_print_error_max_mm": Measure(
+        "mm",
+        "by how much the nozzle is higher or lower over the scanned top than the bead that it lays on it is high, at most",
+        "the executed tip against the measured places of the map around it, unsmoothed",
+        "as_printed is given, and the layer above the scanned one is laid",
     ),
     "arm_clearance_min_mm": Measure(
         "mm",
@@ -381,6 +400,18 @@ CHECKS: dict[str, Measure] = {
         "the lines of process.skirt go all round the first layer, level with it, each as far from it as asked",
         "distance of the tip from where a line is to be",
         "process.skirt is given",
+    ),
+    "begins above the scanned layer": Measure(
+        "beads that do not",
+        "what a scan found printed is not printed again",
+        "layers of the beads from the first one on",
+        ONLY_SCANNED,
+    ),
+    "nozzle over the print": Measure(
+        "mm off the bead's height",
+        "on the first layer above the scanned one the nozzle is as high over what is there as its bead is to be",
+        "see over_print_error_max_mm; also, measured places lie around a tenth of the layer",
+        "as_printed is given, and the layer above the scanned one is laid",
     ),
     "axis near the file's normals": Measure(
         "deg",

@@ -16,6 +16,7 @@ from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import Obstacles, obstacles_of
 from planner.problem import Problem, load_problem
 from planner.resolve.segment import Term
+from planner.toolpath.as_printed import printed_beads
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
@@ -23,10 +24,11 @@ from planner.toolpath.task import NozzleTask, tasks_of
 
 @dataclass(frozen=True)
 class PlanningContext:
-    """What every strategy plans with, and is verified with; of the tasks only those from `first_bead` on are printed.
+    """What every strategy plans with, and is verified with.
 
-    terms: a user's own, of the refinement's price
-    draft: a plan that is verified is taken as it is, whatever other strategies would make of it
+    tasks       of all beads but those that a scan found printed; of these only those from `first_bead` on are laid
+    terms       a user's own, of the refinement's price
+    draft       a plan that is verified is taken as it is, whatever other strategies would make of it
     """
 
     problem: Problem
@@ -39,14 +41,24 @@ class PlanningContext:
     terms: tuple[Term, ...] = ()
     draft: bool = False
 
+    @property
+    def printed(self) -> int:
+        """How many beads a scan found printed, which have no tasks."""
+        return len(self.toolpath.beads) - len(self.tasks)
+
+    @property
+    def laid(self) -> slice:
+        """Which of the tasks, and of the paths that strategies find for them, are laid."""
+        return slice(self.first_bead - self.printed, None)
+
 
 def context_of(
     problem: Problem, cell: Cell, toolpath: Toolpath, first_bead: int = 0, terms: tuple[Term, ...] = ()
 ) -> PlanningContext:
     """Raises InputError for a bead that is too short for the problem's fibre."""
-    body = print_body(toolpath, standing(cell))
-    tasks, obstacles = tasks_of(problem, toolpath), obstacles_of(problem, cell, toolpath, body)
-    return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, first_bead, terms)
+    body, printed = print_body(toolpath, standing(cell)), printed_beads(problem, toolpath)
+    tasks, obstacles = tasks_of(problem, toolpath)[printed:], obstacles_of(problem, cell, toolpath, body)
+    return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, max(first_bead, printed), terms)
 
 
 @lru_cache(maxsize=1)

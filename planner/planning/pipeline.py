@@ -64,6 +64,7 @@ from planner.resolve.own_terms import Own, OwnTerm, own_terms
 from planner.resolve.roll_map import RollMap, roll_maps
 from planner.resolve.sqp import refine_paths
 from planner.resolve.strategies import STRATEGIES, UNAWARE
+from planner.toolpath.as_printed import printed_beads
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.speeds import mean_speed
@@ -161,7 +162,8 @@ def solve(
         stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")
     with stages.stage("obstacles"):
         pieces = problem.process.split_beads  # which are counted once it is known whether there are any
-        given = context_of(problem, cell, toolpath, 0 if pieces else _within(first_bead, toolpath), own)
+        begin = 0 if pieces else _within(_above_what_is_printed(problem, toolpath, first_bead), toolpath)
+        given = context_of(problem, cell, toolpath, begin, own)
         given = replace(given, draft=draft)
         check_cones(problem, cell, given.tasks)
     compared = baseline and not draft and strategy != BASELINE
@@ -188,11 +190,11 @@ def solve(
         problem, toolpath = given.problem, given.toolpath
         if nearer is not None:
             toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
-        trajectory, report, rest = planned.trajectory, planned.report, planned.paths[first_bead:]
+        trajectory, report, rest = planned.trajectory, planned.report, planned.paths[given.laid]
         with stages.stage("dips"):
             dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
             metrics = report.metrics | _distance(given, report)
-            whole = first_bead == 0 and strategy == DEFAULT and baseline and not draft
+            whole = given.first_bead == 0 and strategy == DEFAULT and baseline and not draft
             advice = advise(given, planned.paths, trajectory, dips) if whole else ()
         with stages.stage("baseline"):
             of_baseline = baseline_metrics()
@@ -284,6 +286,17 @@ def _within(first_bead: int, toolpath: Toolpath) -> int:
     return first_bead
 
 
+def _above_what_is_printed(problem: Problem, toolpath: Toolpath, first_bead: int) -> int:
+    """The first bead to print: of a print that was scanned none that is there. Raises InputError where it is to be."""
+    printed = printed_beads(problem, toolpath)
+    if first_bead == 0:
+        return printed
+    if 0 < first_bead < printed:
+        reason = f"bead {first_bead} is printed already, as as_printed says"
+        raise InputError(reason, hint=f"{printed} is the first above")
+    return first_bead
+
+
 Planned = tuple[PlanningContext, PlannedPaths, tuple[RollMap, ...]]  # what was planned, the plan, and its maps of roll
 
 
@@ -312,7 +325,7 @@ def _as_can_be(
         own, planned, maps = print_of(nearer)  # other processes know the room that is usual
         if not planned.verified:
             raise
-        return (noted(own, planned.paths[own.first_bead :], refusal), planned, maps), None
+        return (noted(own, planned.paths[own.laid], refusal), planned, maps), None
 
 
 def _as_clear_as_can_be(
@@ -375,17 +388,18 @@ def _planned(
         return PlannedPaths(by, paths, *_plan_along(paths, strategy, given, dt, stages, shared), start)
 
     def maps_of(planned: PlannedPaths) -> tuple[RollMap, ...]:
-        return roll_maps(given.cell, planned.paths[given.first_bead :], given.obstacles, min_sigma)
+        return roll_maps(given.cell, planned.paths[given.laid], given.obstacles, min_sigma)
 
-    if given.first_bead:
-        whole, taken, _ = _planned(strategy, replace(given, first_bead=0), dt, stages, shared, over, rounds)
+    if given.first_bead > given.printed:
+        begun = replace(given, first_bead=given.printed)
+        whole, taken, _ = _planned(strategy, begun, dt, stages, shared, over, rounds)
         given = replace(whole, first_bead=given.first_bead)
         resumed = along(taken.by, taken.paths, stages)
         return given, resumed, maps_of(resumed)
     own, refusal, mapped = None, None, None
     try:
         paths, start = _paths_of(strategy, given, stages, over)
-        rest = paths[given.first_bead :]
+        rest = paths[given.laid]
         with beside(shared, roll_maps, given.cell, rest, given.obstacles, min_sigma) as maps:
             own = along(strategy, paths, stages, start)
             with stages.stage("map"):
@@ -441,7 +455,8 @@ def _planned_in_pieces(
             whole = again
     if whole is None:
         raise refusal or RuntimeError("no plan and no refusal")
-    if first_bead:
+    first_bead = _above_what_is_printed(given.problem, whole[0].toolpath, first_bead)
+    if first_bead != whole[0].first_bead:
         rest = replace(whole[0], first_bead=_within(first_bead, whole[0].toolpath))
         whole = _planned(strategy, rest, dt, stages, shared, rounds=0)
     return whole
@@ -470,7 +485,7 @@ def _plan_along(
     """
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
-    rest = paths[given.first_bead :]
+    rest = paths[given.laid]
     trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, given.body)
@@ -481,7 +496,7 @@ def _plan_along(
 
 def _distance(given: PlanningContext, report: Report) -> dict[str, float]:
     """The bound of the deposition time over all choices, and how far a plan is from it, where it is found."""
-    tasks = given.tasks[given.first_bead :]
+    tasks = given.tasks[given.laid]
     too_many = _waypoints(given.toolpath) > MOST_WAYPOINTS or len(given.cell.chosen) > MOST_CHOSEN
     if too_many or tasks[0].cones.tilt > 0.0:
         return {}

@@ -39,7 +39,7 @@ def check_struts(given: PlanningContext) -> None:
     clearance = 0.0 if may_come_nearer(problem) else problem.collision.nozzle
     slack = tip_slack(problem.cell.nozzle, given.toolpath)
     for k in range(given.first_bead, len(beads)):
-        bead, task = beads[k], given.tasks[k]
+        bead, task = beads[k], given.tasks[k - given.printed]
         s, motion = _along(bead)
         now = np.minimum(k + s / bead.length, np.nextafter(k + 1.0, 0.0))
         found = nozzle_nearness(tree, head, motion, now, np.full(len(s), slack[k]), clearance, look=0.0)

@@ -14,6 +14,7 @@ from pydantic import BaseModel, PrivateAttr, Tag, ValidationError, ValidationInf
 from pydantic_core import ErrorDetails, PydanticKnownError
 
 from planner.base.errors import InputError, nearest_name
+from planner.problem.as_printed import AsPrintedSpec
 from planner.problem.cell import CellSpec, CollisionSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
@@ -155,6 +156,9 @@ class Problem(Section):
     resolve: ResolveSpec = key("resolve", "settings of the search; each has a default", {})
     collision: CollisionSpec = key("collision", "how far everything keeps apart; each has a default", {})
     program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
+    as_printed: AsPrintedSpec | None = key(
+        "as_printed", "what a scan found of the layers that are printed; default: nothing is printed yet", None
+    )
     _source: ValueSources = PrivateAttr()
 
     @field_validator("part")

@@ -26,6 +26,7 @@ from planner.problem.layers import (
     VolumeLayersSpec,
     WaypointLayersSpec,
 )
+from planner.toolpath.as_printed import on_what_is_printed
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.speeds import check_layers, with_speeds
 from planner.toolpath.workload import check_laid
@@ -69,6 +70,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
         toolpath = with_skirt(problem, toolpath)
     check_laid(problem, toolpath)
     check_layers(problem, toolpath)
+    toolpath = on_what_is_printed(problem, toolpath)
     toolpath = with_speeds(problem, toolpath)
     materials = problem.process.materials
     if not materials:

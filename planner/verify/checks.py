@@ -19,6 +19,7 @@ from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.executed import ExecutedMotion
+from planner.verify.scanned import drawn_tips
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
@@ -54,6 +55,12 @@ class Judged:
     def commanded(self) -> Array:
         """Speed (k) [m/s] that the problem asks for each bead of the toolpath: see `asked_speeds`."""
         return asked_speeds(self.problem.process, self.toolpath)
+
+    @cached_property
+    def drawn_tip(self) -> Array:
+        """The tip (n, 3) [m] of the motion, where it would be if what was printed before were as it was drawn."""
+        spec = self.problem.as_printed
+        return self.motion.tip if spec is None else drawn_tips(spec, self.toolpath, self.trajectory, self.motion)
 
 
 @dataclass(frozen=True)

@@ -96,21 +96,21 @@ def _read(path: Path, unit: str, changed: int, size: int) -> tuple[Array, Array]
 def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Array, Array, Ints]:
     """Angle (n) [rad] of the axis from the normals at waypoints (n, 3), how far (n) [m] the tip passes beside them, and at
     which sample (n). Of passes that are about as near, the one whose axis is nearest."""
-    t, motion = judged.trajectory, judged.motion
+    t, motion, tip = judged.trajectory, judged.motion, judged.drawn_tip
     laid = np.flatnonzero(t.deposit)
     if not len(laid):
         none = np.full(len(points), np.inf)
         return none, none, np.zeros(len(points), dtype=np.int64)
-    _, near = cKDTree(motion.tip[laid]).query(points, k=min(_SAMPLES, len(laid)))
+    _, near = cKDTree(tip[laid]).query(points, k=min(_SAMPLES, len(laid)))
     best, away, at = np.full(len(points), np.inf), np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k in near.reshape(len(points), -1).T:
         for other in (np.maximum(k - 1, 0), np.minimum(k + 1, len(laid) - 1)):
             i, j = laid[k], laid[other]
             j = np.where(t.bead[i] == t.bead[j], j, i)
-            way = motion.tip[j] - motion.tip[i]
-            share = ((points - motion.tip[i]) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
+            way = tip[j] - tip[i]
+            share = ((points - tip[i]) * way).sum(axis=1) / np.maximum((way**2).sum(axis=1), 1e-30)
             share = np.clip(share, 0.0, 1.0)[:, None]
-            distance = np.linalg.norm(motion.tip[i] + share * way - points, axis=1)
+            distance = np.linalg.norm(tip[i] + share * way - points, axis=1)
             off = angles_between(-(motion.axis[i] + share * (motion.axis[j] - motion.axis[i])), normals)
             nearer = (distance < away - _PASSED) | ((distance < away + _PASSED) & (off < best))
             best, away, at = (

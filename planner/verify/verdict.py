@@ -24,6 +24,7 @@ from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
+from planner.verify.as_printed import as_printed
 from planner.verify.by_layer import by_layer
 from planner.verify.checks import (
     DIGITS,
@@ -109,6 +110,7 @@ def verify(
             _speed(judged),
             extrusion(judged),
             by_layer(judged),
+            as_printed(judged),
             pressed(judged),
             _tip_outside(judged),
         ]
@@ -265,7 +267,7 @@ def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
         path = CubicSpline(bead.s, bead.points)
         position[at] = np.linalg.norm(path(t.s[at]) - tip[at], axis=1)
         deviation[at] = distance_to_polyline(tip[at], bead.source)
-        normals[at] = judged.toolpath.surface.normals_on(i, t.s[at], tip[at])
+        normals[at] = judged.toolpath.surface.normals_on(i, t.s[at], judged.drawn_tip[at])
         unreached = max(unreached, float(distance_to_polyline(bead.source, path(_denser(bead.s))).max()))
     return position, deviation, normals, unreached
 
@@ -410,7 +412,7 @@ def _tip_outside(judged: Judged) -> Findings:
     changes = np.flatnonzero(np.diff(begun)) + 1
     for first, last in zip(np.append(0, changes), np.append(changes, len(t)), strict=True):
         surface = judged.toolpath.surface.before(int(begun[first]))
-        gap[first:last] = surface.signed_distance(judged.motion.tip[first:last])
+        gap[first:last] = surface.signed_distance(judged.drawn_tip[first:last])
     outside = check_least(t, "nozzle tip outside the part", gap * 1e3, 0.0, "mm")
     return Findings((outside,), {"tip_clearance_min_mm": outside.worst})
 

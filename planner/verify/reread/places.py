@@ -24,7 +24,10 @@ INSIDE, FILLED = "beads within the part", "layers filled"
 
 @dataclass(frozen=True)
 class Places:
-    """Places of the executed motion (n) on beads: tip (n, 3), outward axis (n, 3), bead and layer, and the sample."""
+    """Places of the executed motion (n) on beads: tip (n, 3), outward axis (n, 3), bead and layer, and the sample.
+
+    On a print that was scanned, the tip is where it would be if that were as it was drawn.
+    """
 
     tip: Array
     up: Array
@@ -53,7 +56,7 @@ def places_of(judged: Judged) -> Places:
     kept[-1] = True
     at = at[kept]
     layers = np.array([bead.layer for bead in judged.toolpath.beads], dtype=np.int64)
-    return Places(motion.tip[at], -motion.axis[at], t.bead[at].astype(np.int64), layers[t.bead[at]], at)
+    return Places(judged.drawn_tip[at], -motion.axis[at], t.bead[at].astype(np.int64), layers[t.bead[at]], at)
 
 
 def between(judged: Judged) -> float:

@@ -52,12 +52,14 @@ from planner.verify.reread.skirt import skirt
 from planner.verify.reread.slopes import axis_along, normals_over, off_facets
 from planner.verify.reread.volume import volume
 from planner.verify.reread.wing import wing
+from planner.verify.scanned import asked_height
 
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
 _BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
 _BEAD = 1e-9  # m, rounding of widths and heights
+_MAPPED = 1e-5  # m, of heights that follow a map between its places
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
@@ -89,18 +91,22 @@ def as_the_problem_says(judged: Judged) -> Findings:
 
 def _measures(judged: Judged) -> Iterator[Check]:
     """Beads are as wide and as high as the problem says, where it is the problem that does."""
-    layers, bead = judged.problem.layers, judged.problem.process.bead
+    layers, bead, spec = judged.problem.layers, judged.problem.process.bead, judged.problem.as_printed
     if not isinstance(layers, (WrappedLayersSpec, ProjectedLayersSpec, FaceLayersSpec)):
         return
     slanted = isinstance(layers, ProjectedLayersSpec) and layers.offset == "z"  # heights along the normal are less
     worst, where = 0.0, EVERYWHERE
     for i, each in enumerate(judged.toolpath.beads):
         off = np.abs(each.width - bead.width)
-        if not slanted:
+        if not slanted and spec is None:
             off = np.maximum(off, np.abs(each.height - bead.height))
+        elif not slanted and spec is not None:
+            some, asked = asked_height(spec, each, bead.height)
+            off = np.maximum(off.max(), np.abs(each.height[some] - asked))
         if not (most := float(off.max())) <= worst:
             worst, where = most, f"bead {i}"
-    yield Check("beads as wide and high as asked", worst * 1e3, _BEAD * 1e3, "mm", worst <= _BEAD, where)
+    limit = _BEAD if spec is None else _MAPPED
+    yield Check("beads as wide and high as asked", worst * 1e3, limit * 1e3, "mm", worst <= limit, where)
 
 
 def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
@@ -264,7 +270,7 @@ def _obstacles(judged: Judged, places: Places) -> Check:
     off = np.full(len(some.tip), np.inf)
     if laid.any():
         apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # beads are 1 m apart from each other
-        middle = some.tip - 0.5 * height[:, None] * some.up
+        middle = judged.motion.tip[some.sample] - 0.5 * height[:, None] * some.up
         off = apart.query(np.column_stack([middle, some.bead]))[0] - np.maximum(width, height)
     part = np.array([name == PART for name in body.names])[thing]
     lowest = some.layer == min(bead.layer for bead in beads)

@@ -1,0 +1,164 @@
+"""Clouds of points of a print, from files of scanners, brought into the part frame: PLY, text, NumPy.
+
+Text has a point a line, x y z first or in columns that a header names (x, or x_mm, or x_m); between numbers stand blanks,
+commas, semicolons or tabs. Arrays are (n, 3) or wider, or x, y, z, or points.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import Complaint, InputError
+from planner.base.files import read_bytes, read_text
+from planner.cell.cell import Cell
+
+UNITS = {"mm": 1e-3, "m": 1.0}
+FRAMES = ("part", "plate", "world")
+SUFFIXES = (".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz", ".npy")
+LARGEST_FILE = 500_000_000  # bytes: some ten million points of text
+FEWEST, MOST = 200, 20_000_000  # points: fewer tell of no layer, more take more memory than there may be
+_COLUMN = re.compile(r"([xyz])(?:[_\[( ]*(mm|m)[\])]?)?", re.IGNORECASE)
+_COMMENTS = ("#", "//", "%")
+_UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OSError, zipfile.BadZipFile)
+
+
+def read_cloud(path: Path, unit: str | None = None) -> Array:
+    """The points (n, 3) [m] of a file in the frame that it has; unit of UNITS, mm where neither it nor the file says one.
+
+    Raises InputError with file and line for what cannot be read, for numbers that are not finite, for too few points or too
+    many, and for two units.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES)
+        )
+    complain = partial(InputError, file=path)
+    kind = path.suffix.lower()
+    told: str | None = None
+    if kind == ".ply":
+        points = _ply(path, complain)
+    elif kind in (".npz", ".npy"):
+        points = _arrays(path, complain)
+    else:
+        points, told = _text(path, complain)
+    if unit is not None and told is not None and unit != told:
+        raise complain(f"its header says {told}, and --unit {unit}", hint="leave --unit out")
+    if not FEWEST <= len(points) <= MOST:
+        raise complain(f"holds {len(points)} points", hint=f"{FEWEST} to {MOST:,}")
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.all():
+        count, first = int((~finite).sum()), int(np.argmin(finite))
+        raise complain(
+            f"{count} of its {len(points)} points are not finite, the first is number {first}", hint="leave them out"
+        )
+    return points * UNITS[unit or told or "mm"]
+
+
+def in_part_frame(points: Array, frame: str, cell: Cell) -> Array:
+    """Points (n, 3) [m] of a frame of FRAMES in the part frame: its own (the work object of programs), that of the plate
+    which carries it, or the world of a part on a fixed bed. Raises InputError for the world of a part that a positioner
+    turns."""
+    if frame == "part":
+        return points
+    if frame == "world" and cell.holder_robot is not None:
+        hint = "scan it in the frame of its plate (--frame plate), or of the part"
+        raise InputError("the world does not tell where a part is that a positioner turns", field="--frame", hint=hint)
+    T = cell.T_plate_part if frame == "plate" and cell.holder_robot is not None else cell.T_world_holder
+    return np.asarray((points - T[:3, 3]) @ T[:3, :3])
+
+
+def _ply(path: Path, complain: Complaint) -> Array:
+    """Vertices of a PLY file, of points alone or of facets."""
+    read_bytes(path, LARGEST_FILE, complain, "thin it out")
+    import trimesh
+
+    try:
+        with path.open("rb") as stream:
+            found: Any = trimesh.load(stream, file_type="ply", process=False)
+        points = np.asarray(found.vertices, dtype=np.float64)
+    except _UNREADABLE as error:
+        raise complain("is no PLY file that can be read", hint="vertices with x, y and z") from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise complain("has no vertices with x, y and z")
+    return points
+
+
+def _arrays(path: Path, complain: Complaint) -> Array:
+    """The array of a NumPy file, or those of an archive."""
+    read_bytes(path, LARGEST_FILE, complain, "thin it out")
+    try:
+        held: Any = np.load(path, allow_pickle=False)
+        if isinstance(held, np.ndarray):
+            points = np.asarray(held, dtype=np.float64)
+        else:
+            with held:
+                points = _of_archive(held)
+    except (*_UNREADABLE, RuntimeError) as error:
+        raise complain("is no NumPy file of points", hint="an array (n, 3), or x, y and z") from error
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise complain(f"has an array of shape {points.shape}", hint="points are (n, 3)")
+    return np.ascontiguousarray(points[:, :3])
+
+
+def _of_archive(held: Mapping[str, Any]) -> Array:
+    """The points of an archive's arrays. Raises KeyError where there are none."""
+    if all(name in held for name in "xyz"):
+        return np.stack([np.asarray(held[name], dtype=np.float64).ravel() for name in "xyz"], axis=1)
+    name = next((each for each in ("points", "xyz") if each in held), None)
+    return np.asarray(held[name or next(iter(held))], dtype=np.float64)
+
+
+def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
+    """The points of a table, and the unit that its header names."""
+    lines = read_text(path, LARGEST_FILE, complain)
+    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith(_COMMENTS)]
+    if not rows:
+        raise complain("holds no points")
+    mark = next((each for each in (";", ",", "\t") if each in rows[0][1]), None)
+    if len(rows) > 1 and rows[0][1].strip().isdecimal():  # PTS files begin with how many points there are
+        rows = rows[1:]
+        mark = next((each for each in (";", ",", "\t") if each in rows[0][1]), None)
+    columns, unit = _columns(rows[0][1], mark)
+    if columns is not None:
+        rows = rows[1:]
+    at = columns or [0, 1, 2]
+    try:
+        table = np.loadtxt((text for _, text in rows), delimiter=mark, usecols=at, ndmin=2, comments=None)
+    except ValueError:
+        raise _wrong_row(rows, mark, at, path) from None
+    return np.asarray(table, dtype=np.float64).reshape(-1, 3), unit
+
+
+def _columns(head: str, mark: str | None) -> tuple[list[int] | None, str | None]:
+    """Where x, y and z stand by a header, and their unit; None for a line of numbers."""
+    words = [word.strip(" \t\"'") for word in head.split(mark)]
+    found: dict[str, tuple[int, str | None]] = {}
+    for i, word in enumerate(words):
+        match = _COLUMN.fullmatch(word)
+        if match:
+            found.setdefault(match[1].lower(), (i, match[2] and match[2].lower()))
+    if len(found) < 3:
+        return None, None
+    units = {unit for _, unit in found.values()}
+    return [found[name][0] for name in "xyz"], units.pop() if len(units) == 1 else None
+
+
+def _wrong_row(rows: Sequence[tuple[int, str]], mark: str | None, at: Sequence[int], path: Path) -> InputError:
+    """The error of the first row that has no three numbers."""
+    for line, text in rows:
+        words = text.split(mark)
+        try:
+            for k in at:
+                float(words[k])
+        except (ValueError, IndexError):
+            reason = f"has no three numbers: {text.strip()[:40]!r}"
+            return InputError(reason, file=path, line=line, hint="x y z, or a header that names x, y and z")
+    return InputError("is no table of numbers", file=path)

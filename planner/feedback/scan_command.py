@@ -1,0 +1,267 @@
+"""What was printed corrects what is printed next: a scan of a layer's top, and the rest of the print planned on it.
+
+python -m planner.feedback.scan cylinder_logo cloud.ply --after-layer 4
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.command_line import Command, exit_code
+from planner.base.errors import EXIT_VERIFIED, InputError
+from planner.base.results import results_folder
+from planner.cell.cell import build_cell
+from planner.feedback.height_map import HeightMap, check_size, height_map, planned_top
+from planner.feedback.scan_cloud import FRAMES, UNITS, in_part_frame, read_cloud
+from planner.feedback.scan_fit import CloudFit, fit_cloud
+from planner.feedback.scan_telling import (
+    MAP,
+    PICTURE,
+    bound_of,
+    layer_heights,
+    lines_of,
+    remains,
+    table_of,
+    write_map,
+    write_picture,
+    write_problem,
+)
+from planner.plan import Plan
+from planner.planning.options import add_set, add_strategy
+from planner.planning.solve_command import main as solve_main
+from planner.problem import Problem, load_problem, shipped_problems
+from planner.problem.yaml_file import Override
+from planner.register.fitting import FREEDOMS
+from planner.toolpath.as_printed import MOST_SHARE, beads_up_to
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+
+RESULTS_BY = "scan"  # whose files they are, in manifests
+SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
+SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
+_LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
+_SAVED = (".npz", ".plan")
+
+
+@dataclass(frozen=True)
+class ScannedPlan:
+    """What a scan is held against: the problem without what earlier scans found, and its toolpath as drawn."""
+
+    problem: Problem
+    toolpath: Toolpath
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = scan_command().parse_args(arguments)
+    return exit_code(partial(_run, options), partial(print, file=sys.stderr))
+
+
+def _run(options: argparse.Namespace) -> int:
+    plan = scanned_plan(options.plan, options.set)
+    layer, complain = options.after_layer, partial(InputError, field="--after-layer")
+    beads_up_to([bead.layer for bead in plan.toolpath.beads], layer, complain)
+    most = bound_of(plan.toolpath, layer, options.share)
+    radius = options.smoothing or radius_of(plan.toolpath)
+    found, fit = _measured(options, plan, radius)
+    heights = layer_heights(plan.toolpath, layer)
+    name = plan.problem.name.partition("_after_")[0]
+    folder = options.out or Path("out") / f"{name}_scanned_{layer}"
+    target = f"{name}_after_{layer}.yaml"
+    with results_folder(folder, RESULTS_BY) as fresh:
+        write_map(found, fresh / MAP)
+        write_picture(found, layer, heights, most, fresh / PICTURE)
+        text = write_problem(plan.problem, found, layer, most, folder)
+        (fresh / target).write_text(text, encoding="utf-8")
+    told = [*fit_lines(fit), *lines_of(found, layer), *table_of(found, heights, most), remains(found, heights, most)]
+    print("\n".join([*told, f"map, picture and the problem of what is left: {folder / target}"]), flush=True)
+    if options.map_only:
+        return EXIT_VERIFIED
+    given = [str(folder / target), *(word for each in plan.problem.overrides for word in ("--set", each))]
+    given += ["--strategy", options.strategy] if options.strategy else []
+    given += ["--quiet"] if options.quiet else []
+    return solve_main([*given, *(["--out", str(folder)] if options.out else [])])
+
+
+def radius_of(toolpath: Toolpath) -> float:
+    """Over which a map is smoothed [m], where nobody says."""
+    return min(SMOOTHED * float(np.mean([bead.width.mean() for bead in toolpath.beads])), SMOOTHED_MOST)
+
+
+def _measured(options: argparse.Namespace, plan: ScannedPlan, radius: float) -> tuple[HeightMap, CloudFit | None]:
+    """The height map of a cloud, and how that was moved onto the planned top before, if that was asked for."""
+    complain = partial(InputError, file=options.cloud)
+    cloud = in_part_frame(read_cloud(options.cloud, options.unit), options.frame, build_cell(plan.problem))
+    top = planned_top(plan.toolpath, options.after_layer)
+    fit = None
+    if options.fit is not None:
+        check_size(top, cloud, complain)
+        fit = fit_cloud(top, cloud, options.fit, complain)
+        cloud = fit.points
+    return height_map(top, cloud, radius, complain), fit
+
+
+def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> ScannedPlan:
+    """What a plan was made of: of a plan that was saved, of a folder of results, of a problem file or a shipped problem's
+    name.
+
+    Raises InputError where that cannot be found any more, or is not what was planned.
+    """
+    path = Path(given)
+    if path.is_dir() and given not in shipped_problems():
+        problem, planned = _of_folder(path), None
+    elif path.suffix in _SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
+        plan = Plan.load(path)
+        problem, planned = _of_plan(plan, path), plan.toolpath
+    else:
+        problem, planned = load_problem(given), None
+    problem = problem.changed(overrides)
+    drawn = problem.model_copy(update={"as_printed": None})
+    toolpath = build_toolpath(drawn)
+    if planned is not None and not overrides and problem.as_printed is None:
+        was, now = planned.length, toolpath.length
+        if abs(now - was) > _LENGTH * was:
+            reason = f"{was * 1e3:.1f} mm of beads were planned, and its problem now has {now * 1e3:.1f}"
+            raise InputError(reason, file=path, hint="plan it again, or put the problem's files back as they were")
+    if any(bead.round for bead in toolpath.beads):
+        raise InputError("prints struts in space, which have no top that others lie on", file=given)
+    return ScannedPlan(problem, toolpath)
+
+
+def _of_plan(plan: Plan, path: Path) -> Problem:
+    """The problem of a plan, read again from its file."""
+    if plan.problem.from_arrays:
+        raise InputError("its waypoints are in no file", file=path, hint="plan them from a file of waypoints")
+    if not plan.problem.file.is_file():
+        raise InputError(f"its problem file {plan.problem.file} is not there any more", file=path)
+    return load_problem(plan.problem.file, plan.problem.sources.overrides)
+
+
+def _of_folder(folder: Path) -> Problem:
+    """The problem of a folder of results, of those that ship."""
+    file = folder / "plan.json"
+    try:
+        held = json.loads(file.read_text(encoding="utf-8"))
+        name, overrides = str(held["problem"]), [str(each) for each in held["settings"]["overrides"]]
+    except FileNotFoundError as error:
+        raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError("is no plan.json that solve wrote", file=file) from error
+    if name not in shipped_problems():
+        hint = "give that file in place of the folder, with --set as it was planned"
+        raise InputError(f"does not hold the problem file of {name}, which does not ship", file=folder, hint=hint)
+    return load_problem(name, overrides)
+
+
+def fit_lines(fit: CloudFit | None) -> list[str]:
+    """How a cloud was moved, in words."""
+    if fit is None:
+        return []
+    shift, turn = fit.shift * 1e3, np.degrees(fit.turn)
+    moved = ", ".join(f"{value:+.3f}" for value in shift)
+    turned = ", ".join(f"{value:+.3f}" for value in turn)
+    out = [
+        f"the cloud was moved by ({moved}) mm at its middle and turned by ({turned}) degrees; what it was off so is not in the map"
+    ]
+    return out + [f"not shown by this layer's top, and left as the cloud has it: {each}" for each in fit.unseen]
+
+
+def scan_command() -> Command:
+    """The parser of `python -m planner.feedback.scan`."""
+    parser = Command(
+        "feedback.scan",
+        "Lay the rest of a print on what is really there: find how far the top of a layer is from where it was planned, in a "
+        "cloud of points, and plan the layers above so that nozzle height and flow fit it.",
+        {
+            "cylinder_logo cloud.ply --after-layer 4": "map, picture and problem in out/cylinder_logo_scanned_4, the plan of "
+            "layers 5 and above in out/cylinder_logo_after_4",
+            "my_part.yaml cloud.csv --after-layer 4 --fit": "with the cloud moved onto the planned top first",
+            "out/cylinder_logo cloud.npy --after-layer 4 --unit m --map-only": "the map alone, of a cloud in metres",
+        },
+        {
+            0: "verified plan written, or with --map-only the map",
+            2: "wrong input; nothing written",
+            3: "no verified plan; map and report written, no robot code",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument(
+        "plan",
+        metavar="PLAN",
+        help="a plan that was saved, a folder of results, a problem file or a shipped one's name",
+    )
+    parser.add_argument(
+        "cloud", type=Path, metavar="CLOUD", help="points of the print: .ply, .xyz, .csv, .txt, .npz, .npy"
+    )
+    parser.add_argument(
+        "--after-layer", type=int, required=True, metavar="K", help="the layer that was printed last, counted from 1"
+    )
+    parser.add_argument("--unit", choices=tuple(UNITS), help="of the cloud (default: as its header says, else mm)")
+    parser.add_argument(
+        "--frame",
+        choices=FRAMES,
+        default="part",
+        help="that the cloud is in: the part's, which is the work object of programs (default), its plate's, the world",
+    )
+    parser.add_argument(
+        "--fit",
+        nargs="?",
+        type=_freedoms,
+        const=FREEDOMS,
+        metavar="NAMES",
+        help="first move the cloud onto the planned top, by 10 mm and 5 degrees at most; of x,y,z,rx,ry,rz (default all)",
+    )
+    parser.add_argument(
+        "--share",
+        type=_share,
+        default=SHARE,
+        metavar="S",
+        help=f"of its height, by which a bead may be made higher or lower (default {SHARE})",
+    )
+    parser.add_argument(
+        "--smoothing-mm",
+        dest="smoothing",
+        type=_millimetres,
+        metavar="MM",
+        help="radius over which the map is smoothed (default: five widths of a bead, 15 at most)",
+    )
+    add_set(parser)
+    add_strategy(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="where map and plan go, both")
+    parser.add_argument("--map-only", action="store_true", help="plan nothing")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    return parser
+
+
+def _freedoms(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if not names or len(set(names)) < len(names) or any(name not in FREEDOMS for name in names):
+        raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(FREEDOMS)} once at most")
+    return names
+
+
+def _share(text: str) -> float:
+    return _number(text, 0.01, MOST_SHARE, "a share")
+
+
+def _millimetres(text: str) -> float:
+    return _number(text, 0.1, 100.0, "a length in mm") * 1e-3
+
+
+def _number(text: str, low: float, high: float, what: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:g} to {high:g}")
+    return value

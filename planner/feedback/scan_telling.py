@@ -1,0 +1,190 @@
+"""What a scan found: the map as a table, a picture and words, and the problem of what is still to be printed."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from planner.base.arrays import Array
+from planner.base.errors import OutputError
+from planner.feedback.height_map import FEWEST, HeightMap
+from planner.problem import Problem
+from planner.problem.fields import LONGEST_NAME
+from planner.problem.rewrite import Value, changed_text
+from planner.toolpath.as_printed import COLUMNS, left, made_up
+from planner.toolpath.bead import Toolpath
+
+MAP, PICTURE = "height_map.csv", "height_map.png"
+MORE_COLUMNS = ("smoothed_mm", "how", "points", "scatter_mm", "bead", "s_mm")
+MEASURED, INTERPOLATED = "measured", "interpolated"
+GOOD = 0.1e-3  # m: less is not told as left over
+_COLOURS = "RdBu_r"  # red is too high, blue too low
+_FACING = 0.3  # least cosine of all normals and their mean, from which on a map is drawn as seen from there
+_GREY, _INK = "#5b6b7b", "#1b2733"
+
+
+def write_map(found: HeightMap, target: Path) -> None:
+    """Write the map as CSV: a row for each cell. Raises OutputError."""
+    top = found.top
+    try:
+        with target.open("w", encoding="utf-8", newline="") as stream:
+            rows = csv.writer(stream, lineterminator="\n")
+            rows.writerow((*COLUMNS, *MORE_COLUMNS))
+            for k in range(len(top.middle)):
+                numbers = (*(top.middle[k] * 1e3), *top.out[k], found.deviation[k] * 1e3, found.smoothed[k] * 1e3)
+                more = (
+                    MEASURED if found.measured[k] else INTERPOLATED,
+                    int(found.count[k]),
+                    f"{found.scatter[k] * 1e3:.4f}",
+                )
+                texts = [f"{value:.6f}" if i not in (3, 4, 5) else f"{value:.9f}" for i, value in enumerate(numbers)]
+                rows.writerow((*texts, *more, int(top.bead[k]), f"{top.s[k] * 1e3:.3f}"))
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror}") from error
+
+
+def bound_of(toolpath: Toolpath, layer: int, share: float) -> float:
+    """By how much [m] beads above a layer, counted from 1, may be made higher or lower: a share of the lowest of them."""
+    return share * min(float(bead.height.min()) for bead in toolpath.beads if bead.layer >= layer)
+
+
+def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, folder: Path) -> str:
+    """The text of the problem of what is still to be printed, for the folder that the map is in."""
+    suffix = f"_after_{layer}"
+    values: dict[str, Value] = {
+        "map": MAP,
+        "after_layer": float(layer),
+        "most_mm": most * 1e3,
+        "smoothing_mm": found.radius * 1e3,
+    }
+    name: dict[str, Value] = {"name": problem.name.partition("_after_")[0][: LONGEST_NAME - len(suffix)] + suffix}
+    if problem.as_printed is not None:
+        return changed_text(problem, name | {f"as_printed.{key}": value for key, value in values.items()}, folder)
+    lines = "".join(
+        f"  {key}: {value if isinstance(value, str) else f'{value:.6g}'}\n" for key, value in values.items()
+    )
+    text = changed_text(problem, name, folder)
+    comment = "# What is printed, by beadwise scan: layers above are laid on that.\n"
+    return f"{text.rstrip()}\n\n{comment}as_printed:\n{lines}"
+
+
+def lines_of(found: HeightMap, layer: int) -> list[str]:
+    """What the map says, in words."""
+    deviation = found.deviation[found.measured] * 1e3
+    holes = int((~found.measured).sum())
+    low, middle, high = np.quantile(deviation, (0.0, 0.5, 1.0))
+    out = [
+        f"top of layer {layer}: {len(found.measured)} cells, {found.covered:.1%} measured by {int(found.count.sum())} points "
+        f"({np.median(found.count[found.measured]):.0f} in a cell)",
+        f"off by {low:+.3f} to {high:+.3f} mm, {middle:+.3f} in the middle; cells are {found.noise * 1e3:.3f} mm off the map "
+        f"smoothed over {found.radius * 1e3:g} mm",
+    ]
+    if holes:
+        out.append(
+            f"interpolated: {holes} cells with fewer than {FEWEST} points that agree; the farthest is "
+            f"{found.widest_hole * 1e3:.1f} mm from a measured one"
+        )
+    return out
+
+
+def table_of(found: HeightMap, heights: Sequence[tuple[int, float]], most: float) -> list[str]:
+    """By layer above the scanned one (its number from 1, and height [m]): how high its beads are, and what is left."""
+    out = ["layer  beads, mm     flow, times   top left off, mm (95 %)"]
+    rest = found.smoothed
+    for layer, height in heights:
+        change = made_up(rest, most)
+        laid = height - change
+        rest = left(rest, most, 1)
+        least, greatest = laid.min() / height, laid.max() / height
+        out.append(
+            f"{layer:5d}  {laid.min() * 1e3:.3f}–{laid.max() * 1e3:.3f}   {least:.2f}–{greatest:.2f}     "
+            f"{np.abs(rest).max() * 1e3:.3f} ({np.quantile(np.abs(rest), 0.95) * 1e3:.3f})"
+        )
+    return out
+
+
+def remains(found: HeightMap, heights: Sequence[tuple[int, float]], most: float) -> str:
+    """What the bounds leave uncorrected on the last layer, in a sentence."""
+    rest = np.abs(left(found.smoothed, most, len(heights)))
+    share = float((rest > GOOD).mean())
+    if share == 0.0:
+        done = next(k for k in range(len(heights) + 1) if np.abs(left(found.smoothed, most, k)).max() <= GOOD)
+        return f"made up for to {GOOD * 1e3:g} mm from layer {heights[0][0] + max(done - 1, 0)} on"
+    return (
+        f"not made up for: {rest.max() * 1e3:.3f} mm are left on the last layer, more than {GOOD * 1e3:g} mm on {share:.0%} of it; "
+        f"a bead may change by {most * 1e3:g} mm (--share)"
+    )
+
+
+def layer_heights(toolpath: Toolpath, layer: int) -> list[tuple[int, float]]:
+    """Numbers from 1, and mean heights of beads [m], of the layers above one."""
+    above = sorted({bead.layer for bead in toolpath.beads if bead.layer >= layer})
+    return [(k + 1, float(np.mean([bead.height.mean() for bead in toolpath.beads if bead.layer == k]))) for k in above]
+
+
+def write_picture(
+    found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float, target: Path
+) -> None:
+    """Write the map and what becomes of it layer by layer as PNG. Raises OutputError."""
+    figure = Figure(figsize=(12.0, 5.0), dpi=120, facecolor="white", layout="constrained")
+    _draw_map(figure, found, layer)
+    _draw_layers(figure, found, layer, heights, most)
+    try:
+        FigureCanvasAgg(figure).print_png(str(target), metadata={"Software": None})
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror}") from error
+
+
+def _draw_map(figure: Figure, found: HeightMap, layer: int) -> None:
+    """Cells in colour by their deviation; those that were interpolated with a ring."""
+    top, values = found.top, found.smoothed * 1e3
+    bound = max(float(np.abs(values).max()), 0.05)
+    mean = top.out.mean(axis=0)
+    size = float(np.linalg.norm(mean))
+    flat = size > 0.0 and bool(((top.out @ mean) / size > _FACING).all())
+    place = (_plane(top.middle, mean / size) if flat else top.middle) * 1e3
+    ax: Any = figure.add_subplot(1, 2, 1, projection=None if flat else "3d")
+    for own, dot, edge in ((found.measured, 5, "none"), (~found.measured, 10, _GREY)):
+        dots = ax.scatter(
+            *place[own].T, c=values[own], s=dot, edgecolors=edge, linewidths=0.5, cmap=_COLOURS, vmin=-bound, vmax=bound
+        )
+    ax.set_aspect("equal")
+    if flat:
+        ax.set_xlabel("mm")
+        ax.spines[["top", "right"]].set_visible(False)
+    ax.set_title(f"top of layer {layer}: off where it was planned (rings: interpolated)", fontsize=10, color=_INK)
+    figure.colorbar(dots, ax=ax, shrink=0.8, label="along the normal [mm]: red too high, blue too low")
+
+
+def _draw_layers(
+    figure: Figure, found: HeightMap, layer: int, heights: Sequence[tuple[int, float]], most: float
+) -> None:
+    """What is left of the deviation on top of each layer."""
+    ax = figure.add_subplot(1, 2, 2)
+    numbers = [layer, *(number for number, _ in heights)]
+    rest = [np.abs(left(found.smoothed, most, k)) * 1e3 for k in range(len(numbers))]
+    for share, style, label in ((1.0, "-", "at most"), (0.95, "--", "95 % of the cells"), (0.5, ":", "half of them")):
+        ax.plot(numbers, [np.quantile(each, share) for each in rest], style, marker="o", color="#0072b2", label=label)
+    ax.axhline(GOOD * 1e3, color=_GREY, linewidth=0.8)
+    ax.set_xticks(numbers[:: max(1, len(numbers) // 10)])
+    ax.set_ylim(bottom=0.0)
+    ax.set_xlabel("layer")
+    ax.set_ylabel("top off the drawing [mm]")
+    ax.set_title(f"made up for, at most {most * 1e3:g} mm in a layer", fontsize=10, color=_INK)
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.legend(frameon=False, fontsize=9)
+
+
+def _plane(points: Array, towards: Array) -> Array:
+    """Points (n, 3) as they are seen (n, 2) against a direction (3); from above x is to the right."""
+    right = np.array([1.0, 0.0, 0.0]) - towards[0] * towards
+    if np.linalg.norm(right) < 0.1:
+        right = np.array([0.0, 1.0, 0.0]) - towards[1] * towards
+    right /= np.linalg.norm(right)
+    return np.stack([points @ right, points @ np.cross(towards, right)], axis=1)

@@ -1,0 +1,72 @@
+"""Checks of a print that goes on upon what a scan found: where it begins, and how high the nozzle is over it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from planner.plan import Check
+from planner.problem.as_printed import AsPrintedSpec
+from planner.verify.checks import DIGITS, Findings, Judged, place
+from planner.verify.scanned import deviations, normals_along, over_print, scanned_top, still_off
+
+OVER_PRINT = 0.1e-3  # m, by which the nozzle may be higher or lower over the print than its bead is high
+_LOOKS = 4000  # places of the first layer above
+_MAP_SHARE = 0.1  # of those, at least, that measured places of the map lie around: beads may bridge what lies beneath
+
+
+def as_printed(judged: Judged) -> Findings:
+    """Checks and metrics of what is laid upon a scanned print; none without one."""
+    spec = judged.problem.as_printed
+    if spec is None or not judged.trajectory.deposit.any():
+        return Findings()
+    top = scanned_top(spec)
+    off = deviations(top, top.points, top.normals, spec.smoothing)
+    layers = np.full(len(off), max(judged.toolpath.layers - spec.after_layer, 0))
+    over, metrics = _over_print(judged, spec)
+    return Findings(
+        (*_begins_above(judged, spec), *over),
+        {
+            "print_off_max_mm": float(np.abs(off).max()) * 1e3,
+            "print_left_off_max_mm": float(np.abs(still_off(off, spec.most, layers)).max()) * 1e3,
+            **metrics,
+        },
+    )
+
+
+def _begins_above(judged: Judged, spec: AsPrintedSpec) -> Iterator[Check]:
+    """What is laid is above the scanned layer, and all of it."""
+    first = judged.trajectory.first_bead
+    layers = [bead.layer for bead in judged.toolpath.beads]
+    wrong = sum(layer < spec.after_layer for layer in layers[first:])
+    wrong += first == 0
+    yield Check("begins above the scanned layer", float(wrong), 0.0, "beads that do not", wrong == 0, f"bead {first}")
+
+
+def _over_print(judged: Judged, spec: AsPrintedSpec) -> tuple[list[Check], dict[str, float]]:
+    """On the first layer above, the nozzle is as high over the print as its bead is, by the map's measured places."""
+    t, beads = judged.trajectory, judged.toolpath.beads
+    first = np.array([bead.layer == spec.after_layer for bead in beads])
+    at = np.flatnonzero(t.deposit & first[t.bead])
+    if not len(at):
+        return [], {}
+    at = at[np.unique(np.linspace(0, len(at) - 1, _LOOKS).astype(np.int64))]
+    high = over_print(scanned_top(spec), judged.motion.tip[at], normals_along(judged.toolpath, t, at), spec.smoothing)
+    bead = np.array([np.interp(t.s[k], beads[t.bead[k]].s, beads[t.bead[k]].height) for k in at])
+    known = ~np.isnan(high)
+    off = np.where(known, np.abs(high - bead), 0.0)
+    i = int(np.argmax(off))
+    seen = float(known.mean())
+    ok = bool(off[i] <= OVER_PRINT * (1.0 + DIGITS)) and seen >= _MAP_SHARE
+    where = place(t, int(at[i])) if seen >= _MAP_SHARE else f"{seen:.0%} of the layer have measured places around"
+    worst = Check(
+        "nozzle over the print",
+        float(off[i]) * 1e3,
+        OVER_PRINT * 1e3,
+        "mm off the bead's height",
+        ok,
+        where,
+        sample=int(at[i]),
+    )
+    return [worst], {"over_print_error_max_mm": float(off[i]) * 1e3}

@@ -1,0 +1,220 @@
+"""What a scan found printed, read and worked out anew: by how much layers above are to lie off the drawing, and whether
+the nozzle stands as high over the print as its beads are.
+
+Nothing is taken from the beads that were moved but the normals along which they are. The map is fitted by weighted means and
+covariances in the tangent plane; how high the nozzle is over the print comes from the measured places alone, unsmoothed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.spatial import KDTree
+
+from planner.base.arrays import Array, Ints
+from planner.base.errors import InputError
+from planner.plan import Trajectory
+from planner.problem.as_printed import AsPrintedSpec
+from planner.toolpath.bead import Bead, Toolpath
+from planner.verify.executed import ExecutedMotion
+
+_APART = 0.2e-3  # m between the samples of a bead at which the map is asked
+_TOGETHER = 512  # samples
+_EDGE = 0.5  # of the radius, by which a place may be beside the map
+_RIDGE = 1e-3  # of the squared radius, by which slopes are held level
+_FACING = 0.5  # least cosine between a node's normal and the place's
+_HEIGHTS = 60  # samples of a bead at which its height is looked at
+_NEAR = 0.5  # of the radius, within which the print's height is told
+_AMID = 0.3  # of that, by which the middle of the places may be beside the tip
+_FEWEST = 4  # measured places around, from which the print's height is told
+_MEASURED = "measured"
+_FIELDS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")
+
+
+@dataclass(frozen=True)
+class ScannedTop:
+    """The map's nodes (n): points and normals (n, 3), deviation (n) [m], and which (n) were measured, not interpolated."""
+
+    points: Array
+    normals: Array
+    deviation: Array
+    measured: Array
+
+    def around(self, foot: Array, normals: Array, radius: float) -> tuple[Ints, Ints, Array]:
+        """Pairs (m) of a foot (k, 3) and a node within a radius on the same side, and the way (m, 3) to it in the tangent
+        plane of the foot's normal."""
+        near = self.tree.query_ball_point(foot, radius)
+        of = np.repeat(np.arange(len(foot)), [len(each) for each in near])
+        node = np.array([i for each in near for i in each], dtype=np.int64)
+        facing = np.einsum("ij,ij->i", self.normals[node], normals[of]) > _FACING
+        of, node = of[facing], node[facing]
+        way = self.points[node] - foot[of]
+        return of, node, way - np.einsum("ij,ij->i", way, normals[of])[:, None] * normals[of]
+
+    @property
+    def tree(self) -> KDTree:
+        """To search nodes in."""
+        return KDTree(self.points)
+
+
+def scanned_top(spec: AsPrintedSpec) -> ScannedTop:
+    """The map that a problem names. Raises InputError where it is not there any more, or none."""
+    try:
+        stamp = spec.map.stat()
+        return _read(spec.map, stamp.st_mtime_ns, stamp.st_size)
+    except (OSError, ValueError, IndexError) as error:
+        raise InputError(
+            "cannot be read again as a height map", file=spec.map, hint="beadwise scan writes it"
+        ) from error
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, changed: int, size: int) -> ScannedTop:
+    """The map's file; `changed` and `size` tell one from what stood there before."""
+    table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    rows = np.column_stack([np.asarray(table[name], dtype=float) for name in _FIELDS])
+    measured = np.asarray(table["how"] == _MEASURED) if "how" in (table.dtype.names or ()) else np.ones(len(rows), bool)
+    normals = rows[:, 3:6] / np.sqrt((rows[:, 3:6] ** 2).sum(axis=1, keepdims=True))
+    return ScannedTop(rows[:, :3] / 1e3, normals, rows[:, 6] / 1e3, measured)
+
+
+def deviations(top: ScannedTop, places: Array, normals: Array, radius: float) -> Array:
+    """The map's smoothed deviation (k) [m] beneath places (k, 3) with unit normals (k, 3)."""
+    out = np.empty(len(places))
+    tree = top.tree
+    for first in range(0, len(places), _TOGETHER):
+        rows = slice(first, first + _TOGETHER)
+        out[rows] = _deviations(top, tree, places[rows], normals[rows], radius)
+    return out
+
+
+def _deviations(top: ScannedTop, tree: KDTree, places: Array, normals: Array, radius: float) -> Array:
+    foot = _feet(top, tree, places, normals)
+    distance, nearest = tree.query(foot)
+    out = distance > _EDGE * radius
+    share = np.ones(len(foot))
+    share[out] = _EDGE * radius / distance[out]
+    foot = share[:, None] * foot + (1.0 - share)[:, None] * top.points[nearest]
+    of, node, way = top.around(foot, normals, radius)
+    r = np.sqrt((way**2).sum(axis=1)) / radius
+    weight = np.where(r < 1.0, (1.0 - r) ** 4 * (1.0 + 4.0 * r), 0.0)
+    k, d = len(foot), top.deviation[node]
+    total = np.bincount(of, weight, minlength=k)
+    alone = total <= 0.0
+    safe = np.where(alone, 1.0, total)
+    # the regression's intercept: the means, and covariances with slopes held level by the ridge, in three dimensions
+    mean_way = np.stack([np.bincount(of, weight * column, minlength=k) for column in way.T], axis=1) / safe[:, None]
+    mean_d = np.bincount(of, weight * d, minlength=k) / safe
+    spread = np.empty((k, 3, 3))
+    along = np.empty((k, 3))
+    centred = way - mean_way[of]
+    for i in range(3):
+        along[:, i] = np.bincount(of, weight * centred[:, i] * (d - mean_d[of]), minlength=k) / safe
+        for j in range(3):
+            spread[:, i, j] = np.bincount(of, weight * centred[:, i] * centred[:, j], minlength=k) / safe
+    spread += _RIDGE * radius**2 * np.eye(3)
+    slope = np.einsum("kij,kj->ki", np.linalg.inv(spread), along)
+    return np.where(alone, top.deviation[nearest], mean_d - np.einsum("ki,ki->k", slope, mean_way))
+
+
+def _feet(top: ScannedTop, tree: KDTree, places: Array, normals: Array) -> Array:
+    """Where places (k, 3) stand over the map, down along their normals."""
+    foot = places
+    for _ in range(2):
+        node = tree.query(foot)[1]
+        foot = places - np.einsum("ij,ij->i", places - top.points[node], normals)[:, None] * normals
+    return foot
+
+
+def still_off(deviation: Array, most: float, layers: Ints) -> Array:
+    """What is left (k) [m] of deviations (k) on top of so many layers (k), each of which makes up for `most` [m] at most."""
+    rest = np.array(deviation, dtype=float)
+    for done in range(int(layers.max(initial=0))):
+        some = layers > done
+        rest[some] -= most * np.tanh(rest[some] / most)
+    return rest
+
+
+def over_print(top: ScannedTop, tips: Array, normals: Array, radius: float) -> Array:
+    """How high (k) [m] tips (k, 3) are over the print, along unit normals (k, 3), by the measured places around them; NaN
+    where there are too few."""
+    known = ScannedTop(*(values[top.measured] for values in (top.points, top.normals, top.deviation, top.measured)))
+    out = np.full(len(tips), np.nan)
+    tree = known.tree
+    for first in range(0, len(tips), _TOGETHER):
+        rows = slice(first, first + _TOGETHER)
+        n = normals[rows]
+        foot = _feet(known, tree, tips[rows], n)
+        of, node, way = known.around(foot, n, _NEAR * radius)
+        real = known.points[node] + known.deviation[node, None] * known.normals[node]
+        high = np.einsum("ij,ij->i", tips[rows][of] - real, n[of])
+        # less by what the surface falls away from the tangent plane: exact on circles
+        high += 0.5 * np.einsum("ij,ij->i", way, known.normals[node] - n[of])
+        out[rows] = _levels(of, way, high, len(foot), _NEAR * radius)
+    return out
+
+
+def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
+    """The middle (k) of planes through heights (m) around feet, by least squares; NaN where there are too few, or these lie
+    to one side."""
+    count = np.bincount(of, minlength=k)
+    rows = np.concatenate([np.ones((len(of), 1)), way / radius], axis=1)
+    matrix, right = np.zeros((k, 4, 4)), np.zeros((k, 4))
+    for i in range(4):
+        right[:, i] = np.bincount(of, rows[:, i] * high, minlength=k)
+        for j in range(4):
+            matrix[:, i, j] = np.bincount(of, rows[:, i] * rows[:, j], minlength=k)
+    matrix[:, (1, 2, 3), (1, 2, 3)] += 0.01 * np.maximum(count, 1)[:, None]
+    matrix[:, 0, 0] += count == 0
+    found = np.linalg.solve(matrix, right[:, :, None])[:, 0, 0]
+    aside = np.linalg.norm(
+        np.stack([np.bincount(of, column, minlength=k) for column in way.T], axis=1) / np.maximum(count, 1)[:, None],
+        axis=1,
+    )
+    return np.where((count >= _FEWEST) & (aside <= _AMID * radius), found, np.nan)
+
+
+def normals_along(toolpath: Toolpath, t: Trajectory, at: Ints) -> Array:
+    """Unit normals (k, 3) of the beads at samples (k) of a trajectory that lie on beads."""
+    out = np.empty((len(at), 3))
+    for i in np.unique(t.bead[at]):
+        own, bead = t.bead[at] == i, toolpath.beads[i]
+        for k in range(3):
+            out[own, k] = np.interp(t.s[at][own], bead.s, bead.normals[:, k])
+    return out / np.linalg.norm(out, axis=1)[:, None]
+
+
+def asked_height(spec: AsPrintedSpec, bead: Bead, drawn: float) -> tuple[Ints, Array]:
+    """Some samples (k) of a bead, and how high (k) [m] it is to be there, where it was drawn `drawn` [m] high."""
+    some = np.unique(np.linspace(0, len(bead.s) - 1, _HEIGHTS).astype(np.int64))
+    above = bead.layer - spec.after_layer
+    if above < 0:
+        return some, np.full(len(some), drawn)
+    found = deviations(scanned_top(spec), bead.points[some], bead.normals[some], spec.smoothing)
+    beneath = np.full(len(some), above)
+    return some, drawn + still_off(found, spec.most, beneath + 1) - still_off(found, spec.most, beneath)
+
+
+def drawn_tips(spec: AsPrintedSpec, toolpath: Toolpath, t: Trajectory, motion: ExecutedMotion) -> Array:
+    """Where the executed tip (n, 3) would be if the print were as it was drawn: without what layers are moved by, or in
+    travel what lies beneath."""
+    out = motion.tip.copy()
+    top = scanned_top(spec)
+    layers = np.array([bead.layer for bead in toolpath.beads])[np.maximum(t.begun, 0)] + 1 - spec.after_layer
+    away = np.flatnonzero(~t.deposit)
+    if len(away):
+        off = deviations(top, motion.tip[away], -motion.axis[away], spec.smoothing)
+        out[away] += still_off(off, spec.most, layers[away])[:, None] * motion.axis[away]
+    for i in np.unique(t.bead[t.deposit]):
+        at = np.flatnonzero(t.deposit & (t.bead == i))
+        step = np.floor(t.s[at] / _APART)
+        few = at[np.unique(np.append(np.flatnonzero(np.diff(step, prepend=-1.0) != 0.0), len(at) - 1))]
+        asked = few[np.unique(t.s[few], return_index=True)[1]]
+        found = deviations(top, motion.tip[asked], normals_along(toolpath, t, asked), spec.smoothing)
+        off = np.interp(t.s[at], t.s[asked], found) if len(asked) < 4 else CubicSpline(t.s[asked], found)(t.s[at])
+        out[at] -= still_off(off, spec.most, layers[at])[:, None] * normals_along(toolpath, t, at)
+    return out

@@ -1,0 +1,555 @@
+"""A scanned print: clouds of points, the height map that they give, beads laid on it, and how that is verified."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from benchmarks.scan import Truth, scanned
+from planner.base.arrays import Array
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
+from planner.cell.cell import build_cell
+from planner.feedback.height_map import HeightMap, height_map, planned_top
+from planner.feedback.scan_cloud import FEWEST, in_part_frame, read_cloud
+from planner.feedback.scan_command import main, scanned_plan
+from planner.feedback.scan_fit import fit_cloud
+from planner.feedback.scan_telling import bound_of, layer_heights, remains, table_of, write_map, write_problem
+from planner.plan import Check, Plan
+from planner.planning.pipeline import solve
+from planner.problem import Problem, load_problem
+from planner.register.fitting import FREEDOMS
+from planner.toolpath.as_printed import HeightField, beads_up_to, left, made_up, read_map
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.build import build_toolpath
+from planner.verify.scanned import ScannedTop, deviations, still_off
+from planner.verify.verdict import verify
+
+PRINT = ("layers.count=4", "layers.source.size_mm=[30, 30]")  # of the honeycomb on a dome
+SCANNED = 2  # its layer
+QUICK = ("resolve.roll_step_deg=30", "resolve.rung_mm=10", "strategy=ladder")
+RADIUS = 3e-3
+WRONG = partial(InputError, file="cloud")
+
+
+@cache
+def drawn() -> tuple[Problem, Toolpath]:
+    problem = load_problem("hemisphere_honeycomb", (*PRINT, *QUICK))
+    return problem, build_toolpath(problem)
+
+
+@cache
+def flat() -> Toolpath:
+    return build_toolpath(load_problem("planar_gcode"))
+
+
+@cache
+def cloud() -> Array:
+    return scanned(drawn()[1], SCANNED)
+
+
+@cache
+def mapped() -> HeightMap:
+    return height_map(planned_top(drawn()[1], SCANNED), cloud(), RADIUS, WRONG)
+
+
+def corrected(folder: Path, most: float | None = None) -> Problem:
+    """The problem of what is left of the print, with its map beside it."""
+    problem, toolpath = drawn()
+    write_map(mapped(), folder / "height_map.csv")
+    most = bound_of(toolpath, SCANNED, 0.3) if most is None else most
+    target = folder / "rest.yaml"
+    target.write_text(write_problem(problem, mapped(), SCANNED, most, folder), encoding="utf-8")
+    return load_problem(target, problem.sources.overrides)
+
+
+@cache
+def solved() -> Plan:
+    with tempfile.TemporaryDirectory() as folder:
+        return solve(corrected(Path(folder)), baseline=False)
+
+
+def failed(checks: tuple[Check, ...]) -> set[str]:
+    return {check.name for check in checks if not check.ok}
+
+
+# ----------------------------------------------------------------------------------------------------
+# Files of clouds.
+
+
+def points(count: int = 300) -> Array:
+    return np.round(np.random.default_rng(1).uniform(-50.0, 50.0, (count, 3)), 4)
+
+
+def ply(path: Path, x: Array, binary: bool) -> None:
+    kind = "binary_little_endian" if binary else "ascii"
+    head = f"ply\nformat {kind} 1.0\nelement vertex {len(x)}\nproperty double x\nproperty double y\nproperty double z\n"
+    with path.open("wb") as stream:
+        stream.write(f"{head}end_header\n".encode())
+        if binary:
+            stream.write(x.astype("<f8").tobytes())
+        else:
+            stream.write("".join(f"{a} {b} {c}\n" for a, b, c in x).encode())
+
+
+WRITERS: dict[str, Callable[[Path, Array], object]] = {
+    "a.xyz": lambda path, x: np.savetxt(path, x),
+    "commented.txt": lambda path, x: np.savetxt(path, np.hstack([x, x]), header="scan of today"),
+    "counted.pts": lambda path, x: np.savetxt(path, x, header=str(len(x)), comments=""),
+    "header.csv": lambda path, x: np.savetxt(
+        path,
+        np.column_stack([x[:, 2], x[:, 0], np.ones(len(x)), x[:, 1]]),
+        delimiter=",",
+        header="z,x,i,y",
+        comments="",
+    ),
+    "semicolons.csv": lambda path, x: np.savetxt(path, x, delimiter=";", header="x_mm;y_mm;z_mm", comments=""),
+    "one.npy": lambda path, x: np.save(path, x),
+    "columns.npz": lambda path, x: np.savez(path, x=x[:, 0], y=x[:, 1], z=x[:, 2]),
+    "points.npz": lambda path, x: np.savez(path, other=np.ones(3), points=x),
+    "ascii.ply": lambda path, x: ply(path, x, False),
+    "binary.ply": lambda path, x: ply(path, x, True),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_cloud_is_read(name: str, tmp_path: Path) -> None:
+    x = points()
+    WRITERS[name](tmp_path / name, x)
+    assert np.allclose(read_cloud(tmp_path / name), x * 1e-3, atol=1e-12)
+    if name != "semicolons.csv":
+        assert np.allclose(read_cloud(tmp_path / name, "m"), x, atol=1e-9)
+
+
+def test_a_header_tells_the_unit(tmp_path: Path) -> None:
+    path = tmp_path / "metres.csv"
+    np.savetxt(path, points(), delimiter=",", header="x_m, y_m, z_m", comments="")
+    assert np.allclose(read_cloud(path), points())
+    with pytest.raises(InputError, match="its header says m, and --unit mm"):
+        read_cloud(path, "mm")
+
+
+@given(
+    st.sampled_from([" ", ",", ";", "\t", ", "]),
+    st.sampled_from(["", "x,y,z", "# made by hand"]),
+    st.lists(st.tuples(*[st.floats(-1e4, 1e4)] * 3), min_size=1, max_size=5),
+)
+@settings(max_examples=30, deadline=None)
+def test_whatever_stands_between_numbers(mark: str, head: str, rows: list[tuple[float, float, float]]) -> None:
+    lines = [head.replace(",", mark)] if head else []
+    rows = rows * FEWEST
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "cloud.txt"
+        path.write_text("\n".join([*lines, *(mark.join(repr(v) for v in row) for row in rows)]), encoding="utf-8")
+        assert np.array_equal(read_cloud(path, "m"), np.array(rows))
+
+
+def with_nan() -> Array:
+    x = points()
+    x[7, 1] = np.nan
+    return x
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "said"),
+    [
+        ("cloud.stl", lambda path: path.write_text("solid"), "no cloud's ending"),
+        (
+            "cloud.xyz",
+            lambda path: np.savetxt(path, with_nan()),
+            "1 of its 300 points are not finite, the first is number 7",
+        ),
+        ("cloud.npy", lambda path: np.save(path, points(30)), "holds 30 points"),
+        ("cloud.npy", lambda path: np.save(path, np.ones((300, 2))), r"shape \(300, 2\)"),
+        ("cloud.npy", lambda path: path.write_bytes(b"no array"), "no NumPy file"),
+        ("cloud.npz", lambda path: np.savez(path, points=np.array([["a"] * 3] * 300)), "no NumPy file"),
+        ("cloud.ply", lambda path: path.write_text("plywood"), "no PLY file"),
+        ("cloud.xyz", lambda path: path.write_text("1 2 3\n4 5\n" * 200), "cloud.xyz:2: has no three numbers: '4 5'"),
+        (
+            "cloud.csv",
+            lambda path: path.write_text("x,y,z\n1,2,3\n1,two,3\n" * 100),
+            "cloud.csv:3: has no three numbers",
+        ),
+        ("cloud.txt", lambda path: path.write_text("# nothing\n\n"), "holds no points"),
+        ("cloud.txt", lambda path: path.write_bytes(b"\xff\xfe\x00"), "not UTF-8"),
+        ("cloud.txt", lambda path: None, "there is no file"),
+        ("cloud.ply", lambda path: None, "there is no file"),
+        ("cloud.npy", lambda path: None, "there is no file"),
+    ],
+)
+def test_what_is_no_cloud_is_refused(name: str, write: Callable[[Path], object], said: str, tmp_path: Path) -> None:
+    write(tmp_path / name)
+    with pytest.raises(InputError, match=said):
+        read_cloud(tmp_path / name)
+
+
+def test_frames() -> None:
+    bed = build_cell(load_problem("hemisphere_honeycomb"))
+    x = points() * 1e-3
+    world = x + np.array([0.560, -0.093, 0.290])
+    assert np.allclose(in_part_frame(world, "world", bed), x)
+    assert np.array_equal(in_part_frame(x, "part", bed), x)
+    turned = build_cell(load_problem("cylinder_logo"))
+    assert np.allclose(in_part_frame(x + np.array([0.0, 0.0, 0.06]), "plate", turned), x)
+    with pytest.raises(InputError, match="positioner turns"):
+        in_part_frame(x, "world", turned)
+
+
+# ----------------------------------------------------------------------------------------------------
+# The height map.
+
+
+def test_the_map_is_the_truth() -> None:
+    found, truth = mapped(), Truth.of(drawn()[1], SCANNED).at(mapped().top.middle)
+    off = found.smoothed - truth
+    assert np.abs(truth).max() > 0.7e-3
+    assert np.sqrt((off**2).mean()) < 0.02e-3 and np.abs(off[found.measured]).max() < 0.1e-3
+    assert 0.8 < found.covered < 0.98 and found.widest_hole > 1e-3
+    assert found.noise < 0.03e-3
+
+
+def test_outliers_do_not_reach_the_map() -> None:
+    clean = scanned(drawn()[1], SCANNED, noise=0.0)
+    wild = clean.copy()
+    random = np.random.default_rng(3)
+    some = random.random(len(wild)) < 0.2
+    wild[some] += random.uniform(-3e-3, 3e-3, (int(some.sum()), 3))
+    top = planned_top(drawn()[1], SCANNED)
+    a, b = (height_map(top, each, RADIUS, WRONG) for each in (clean, wild))
+    assert np.abs(a.smoothed - b.smoothed).max() < 0.08e-3
+    assert np.sqrt(((a.smoothed - b.smoothed) ** 2).mean()) < 0.01e-3
+
+
+def test_a_flat_print_has_a_map() -> None:
+    found = height_map(planned_top(flat(), 1), scanned(flat(), 1), 2.5e-3, WRONG)
+    off = found.smoothed - Truth.of(flat(), 1).at(found.top.middle)
+    assert np.sqrt((off**2).mean()) < 0.025e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda x: x * 1e3, "1000 times the layer's .* unit is another one"),
+        (lambda x: x * 1e-3, r"0\.001 times the layer's .* unit is another one"),
+        (
+            lambda x: x + np.array([0.0, 0.0, 0.012]),
+            r"lies elsewhere: half of the layer's top is 9\.\d mm .*\+12\.\d\) mm",
+        ),
+        (lambda x: x + 0.3, "lies elsewhere"),
+        (lambda x: x[x[:, 0] > 0.0], "covers 5\\d% of the layer's top"),
+        (lambda x: x[::40], "covers .*% of the layer's top"),
+    ],
+)
+def test_a_cloud_of_another_print_is_refused(change: Callable[[Array], Array], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        height_map(planned_top(drawn()[1], SCANNED), change(cloud()), RADIUS, WRONG)
+
+
+def displaced(x: Array, degrees: tuple[float, float, float], shift_mm: tuple[float, float, float]) -> Array:
+    turn = Rotation.from_euler("xyz", degrees, degrees=True).as_matrix()
+    middle = x.mean(axis=0)
+    return np.asarray((x - middle) @ turn.T + middle + np.array(shift_mm) * 1e-3)
+
+
+def test_a_displaced_cloud_is_fitted() -> None:
+    toolpath = build_toolpath(load_problem("hemisphere_honeycomb", ["layers.count=2"]))
+    top, x = planned_top(toolpath, 2), scanned(toolpath, 2)
+    straight = fit_cloud(top, x, FREEDOMS, WRONG)  # the errors of the print look like a displacement, too
+    fit = fit_cloud(top, displaced(x, (1.0, -1.5, 2.0), (1.5, -1.0, 0.8)), FREEDOMS, WRONG)
+    assert np.abs(fit.points - straight.points).max() < 0.05e-3
+    assert np.linalg.norm(straight.shift) < 0.2e-3 and not fit.unseen
+    assert height_map(top, fit.points, RADIUS, WRONG).covered > 0.8
+
+
+def test_freedoms_that_are_not_fitted_stay() -> None:
+    top, x = planned_top(flat(), 1), scanned(flat(), 1)
+    straight = fit_cloud(top, x, ("z",), WRONG)
+    fit = fit_cloud(top, displaced(x, (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), ("z",), WRONG)
+    assert np.abs(fit.shift[:2]).max() < 1e-9 and not np.abs(fit.turn).any()
+    assert straight.shift[2] - fit.shift[2] == pytest.approx(1e-3, abs=2e-5)
+
+
+def test_what_is_too_far_off_is_not_fitted() -> None:
+    top = planned_top(drawn()[1], SCANNED)
+    with pytest.raises(InputError, match="not to be fitted"):
+        fit_cloud(top, cloud() + 0.5, FREEDOMS, WRONG)
+    with pytest.raises(InputError, match=r"mm and .* degrees from the layer's top"):
+        fit_cloud(top, cloud() + np.array([0.0, 0.0, 11e-3]), FREEDOMS, WRONG)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is made of the map.
+
+
+@given(st.floats(-3e-3, 3e-3), st.floats(0.02e-3, 1e-3))
+def test_what_is_made_up_for_is_bounded_and_leads_to_nothing_left(deviation: float, most: float) -> None:
+    e = np.array([deviation])
+    assert abs(made_up(e, most)[0]) <= most * (1.0 + 1e-12)
+    rest = [abs(left(e, most, k)[0]) for k in range(4)]
+    assert all(b <= a for a, b in zip(rest[:-1], rest[1:], strict=True))
+    assert abs(left(e, most, int(abs(deviation) / most * 1.5) + 4)[0]) < 0.05 * most
+    assert still_off(e, most, np.array([3]))[0] == pytest.approx(left(e, most, 3)[0], abs=1e-15)
+
+
+def test_a_slope_is_read_as_it_is() -> None:
+    random = np.random.default_rng(5)
+    x = np.column_stack([random.uniform(-0.02, 0.02, (900, 2)), np.zeros(900)])
+    up = np.tile([0.0, 0.0, 1.0], (900, 1))
+    field = HeightField(x, up, 0.01 * x[:, 0] - 0.02 * x[:, 1] + 2e-4, RADIUS)
+    ask = np.column_stack([random.uniform(-0.018, 0.018, (50, 2)), np.full(50, 0.004)])
+    assert np.abs(field.at(ask, up[:50]) - (0.01 * ask[:, 0] - 0.02 * ask[:, 1] + 2e-4)).max() < 2e-6
+
+
+def test_the_verifier_reads_the_map_alike_with_other_code(tmp_path: Path) -> None:
+    spec = corrected(tmp_path).as_printed
+    assert spec is not None
+    field = read_map(spec.map, spec.smoothing, WRONG)
+    for bead in (drawn()[1].beads[k] for k in (1, -1)):
+        far = bead.points + 0.02 * np.cross(bead.normals, [0.0, 0.0, 1.0])  # beside the map
+        for places in (bead.points[::7], far[::7]):
+            top = ScannedTop(field.points, field.normals, field.deviation, np.ones(len(field.points), dtype=bool))
+            ours = field.at(places, bead.normals[::7])
+            assert np.abs(deviations(top, places, bead.normals[::7], spec.smoothing) - ours).max() < 1e-9
+
+
+def test_beads_above_make_up_for_the_print(tmp_path: Path) -> None:
+    toolpath = drawn()[1]
+    rest = build_toolpath(corrected(tmp_path))
+    truth = Truth.of(toolpath, SCANNED)
+    assert len(rest.beads) == len(toolpath.beads)
+    for before, after in zip(toolpath.beads, rest.beads, strict=True):
+        above = before.layer + 1 - SCANNED
+        rise = ((after.points - before.points) * before.normals).sum(axis=1)
+        feet = before.points - above * 0.5e-3 * before.normals
+        assert np.abs(rise - left(truth.at(feet), 0.15e-3, max(above, 0))).max() < 0.12e-3
+        if above > 0:
+            change = after.height - before.height
+            assert np.abs(change).max() <= 0.15e-3 and np.abs(change).max() > 0.1e-3
+        else:
+            assert np.array_equal(after.height, before.height)
+        assert np.allclose(np.linalg.norm(np.diff(after.points, axis=0), axis=1).sum(), after.length, rtol=1e-3)
+    assert "laid on what is printed" in rest.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("as_printed.after_layer=4", "no layer is above layer 4"),
+        ("as_printed.after_layer=9", r"there is no layer 9 \(layers 1 to 4"),
+        ("as_printed.most_mm=0.3", "more than half of a bead"),
+        ("as_printed.map=rest.yaml", "is no height map"),
+        ("as_printed.map=nothing.csv", "there is no file"),
+    ],
+)
+def test_a_section_that_cannot_be(change: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said):
+        build_toolpath(corrected(tmp_path).changed([change]))
+
+
+def test_maps_that_are_none(tmp_path: Path) -> None:
+    head = "x_mm,y_mm,z_mm,nx,ny,nz,deviation_mm\n"
+    path = tmp_path / "map.csv"
+    for text, said in (
+        (head, "places missing"),
+        ("x_mm,y_mm\n1,2\n", "z_mm missing"),
+        (f"{head}0,0,0,0,0,1,high\n", "not numbers"),
+        (f"{head}0,0,0,0,0,1\n", "not numbers"),
+        (f"{head}0,0,0,0,0,1,nan\n", "not finite"),
+        (f"{head}0,0,0,0,0,2,0\n", "not of unit length"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=said):
+            read_map(path, RADIUS, WRONG)
+
+
+def test_prints_that_are_not_made_in_layers() -> None:
+    assert beads_up_to([0, 0, 1, 2], 1, WRONG) == 2
+    with pytest.raises(InputError, match="after others above it"):
+        beads_up_to([0, 1, 0, 1], 1, WRONG)
+
+
+def test_a_rounded_bead_is_not_made_higher_than_wide(tmp_path: Path) -> None:
+    problem = corrected(tmp_path).changed(["process.bead.section=rounded"])
+    with pytest.raises(InputError, match="more than it is wide"):
+        build_toolpath(problem)
+
+
+def test_what_is_told() -> None:
+    heights = layer_heights(drawn()[1], SCANNED)
+    assert [number for number, _ in heights] == [3, 4]
+    table = table_of(mapped(), heights, 0.15e-3)
+    assert table[1].split()[:2] == ["3", "0.350–0.650"] and "0.70–1.30" in table[1]
+    assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
+    assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Planned and verified.
+
+
+def test_the_rest_of_the_print_is_planned_on_it_and_verified() -> None:
+    plan = solved()
+    assert plan.verified, failed(plan.checks)
+    assert plan.first_bead == sum(bead.layer < SCANNED for bead in plan.toolpath.beads)
+    assert plan.metrics["over_print_error_max_mm"] < 0.1
+    truth = Truth.of(drawn()[1], SCANNED)
+    t = plan.trajectory
+    for i in range(plan.first_bead, len(plan.toolpath.beads)):
+        bead, before = plan.toolpath.beads[i], drawn()[1].beads[i]
+        if bead.layer != SCANNED:
+            continue
+        at = np.flatnonzero(t.deposit & (t.bead == i))
+        s = t.s[at] * before.length / bead.length
+        p, n = (np.stack([np.interp(s, before.s, x) for x in v.T], axis=1) for v in (before.points, before.normals))
+        gap = ((t.tip[at] - p) * n).sum(axis=1) + 0.5e-3 - truth.at(p - 0.5e-3 * n)
+        assert np.abs(gap - np.interp(t.s[at], bead.s, bead.height)).max() < 0.1e-3
+
+
+@pytest.mark.slow
+def test_what_was_not_corrected_fails(tmp_path: Path) -> None:
+    plan = solved()
+    problem = corrected(tmp_path)
+    drawn_problem, toolpath = drawn()
+    same = verify(problem, plan.cell, plan.toolpath, plan.trajectory)
+    assert not failed(same.checks)
+    flat_heights = tuple(
+        replace(bead, height=before.height) for bead, before in zip(plan.toolpath.beads, toolpath.beads, strict=True)
+    )
+    spoilt = verify(problem, plan.cell, replace(plan.toolpath, beads=flat_heights), plan.trajectory)
+    assert {"nozzle over the print", "beads as wide and high as asked", "extrusion balance"} <= failed(spoilt.checks)
+    as_drawn = solve(drawn_problem, first_bead=plan.first_bead, baseline=False)
+    spoilt = verify(problem, plan.cell, toolpath, as_drawn.trajectory)
+    assert {"nozzle over the print", "layers on the part"} <= failed(spoilt.checks)
+
+
+def test_another_map_fails(tmp_path: Path) -> None:
+    plan, problem = solved(), corrected(tmp_path)
+    assert problem.as_printed is not None
+    lines = problem.as_printed.map.read_text(encoding="utf-8").splitlines()
+    rows = [line.split(",") for line in lines[1:]]
+    for row in rows:
+        row[6] = f"{float(row[6]) + 0.2:.6f}"
+    problem.as_printed.map.write_text("\n".join([lines[0], *(",".join(row) for row in rows)]), encoding="utf-8")
+    spoilt = verify(problem, plan.cell, plan.toolpath, plan.trajectory)
+    assert {"nozzle over the print", "beads as wide and high as asked", "layers on the part"} <= failed(spoilt.checks)
+    problem.as_printed.map.unlink()
+    with pytest.raises(InputError, match="cannot be read again"):
+        verify(problem, plan.cell, plan.toolpath, plan.trajectory)
+
+
+@pytest.mark.slow
+def test_a_bead_that_is_printed_is_not_begun_with(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is printed already"):
+        solve(corrected(tmp_path), first_bead=1, baseline=False)
+    later = solved().first_bead + 2
+    resumed = solve(corrected(tmp_path), first_bead=later, baseline=False)
+    assert resumed.first_bead == later and resumed.verified
+    assert np.array_equal(resumed.paths[0].q, solved().paths[2].q)
+
+
+# ----------------------------------------------------------------------------------------------------
+# The command.
+
+
+def sets() -> list[str]:
+    return [word for each in (*PRINT, *QUICK) for word in ("--set", each)]
+
+
+def test_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    np.save(tmp_path / "cloud.npy", cloud() * 1e3)
+    given_ = ["hemisphere_honeycomb", str(tmp_path / "cloud.npy"), "--after-layer", "2", "--map-only"]
+    assert main([*given_, *sets(), "--out", str(tmp_path / "out")]) == EXIT_VERIFIED
+    said = capsys.readouterr().out
+    assert "top of layer 2" in said and "interpolated" in said and "not made up for" in said
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert names == {"height_map.csv", "height_map.png", "hemisphere_honeycomb_after_2.yaml", "manifest.json"}
+    assert (tmp_path / "out" / "height_map.png").read_bytes().startswith(b"\x89PNG")
+    rest = load_problem(tmp_path / "out" / "hemisphere_honeycomb_after_2.yaml", PRINT)
+    assert rest.as_printed is not None and rest.as_printed.after_layer == 2
+    assert rest.as_printed.most == pytest.approx(0.15e-3) and rest.as_printed.smoothing == pytest.approx(3e-3)
+    again = scanned_plan(str(tmp_path / "out" / "hemisphere_honeycomb_after_2.yaml"), PRINT)  # a later scan begins anew
+    assert again.toolpath.length == pytest.approx(drawn()[1].length)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "said"),
+    [
+        (1.0, ["--after-layer", "2"], "its unit is another one"),
+        (1e6, ["--after-layer", "2"], "its unit is another one"),
+        (1e3, ["--after-layer", "7"], "there is no layer 7"),
+        (1e3, ["--after-layer", "4"], "no layer is above layer 4"),
+        (1e3, ["--after-layer", "2", "--frame", "world"], "lies elsewhere"),
+        (1e3, ["--after-layer", "2", "--frame", "world", "--fit"], "not to be fitted"),
+    ],
+)
+def test_wrong_input_writes_nothing(
+    change: float, options: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "cloud.npy", cloud() * change)
+    given_ = ["hemisphere_honeycomb", str(tmp_path / "cloud.npy"), *options, *sets(), "--out", str(tmp_path / "out")]
+    assert main(given_) == EXIT_INPUT
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", [["--share", "0.7"], ["--fit", "x,w"], ["--smoothing-mm", "0"], ["--unit", "in"]])
+def test_options_that_are_none(option: list[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["hemisphere_honeycomb", "cloud.npy", "--after-layer", "2", *option])
+    assert ended.value.code == EXIT_INPUT
+
+
+def test_plans_that_there_are_not(tmp_path: Path) -> None:
+    for name, said in (("nothing.npz", "no shipped problem|no such file|there is no"), ("nowhere", "nowhere")):
+        with pytest.raises(InputError, match=said):
+            scanned_plan(str(tmp_path / name))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"holds no plan\.json"):
+        scanned_plan(str(tmp_path / "empty"))
+    for text, said in (
+        ("{}", "no plan.json that solve wrote"),
+        ('{"problem": "mine", "settings": {"overrides": []}}', "mine"),
+    ):
+        (tmp_path / "empty" / "plan.json").write_text(text, encoding="utf-8")
+        with pytest.raises(InputError, match=said):
+            scanned_plan(str(tmp_path / "empty"))
+    held = {"problem": "hemisphere_honeycomb", "settings": {"overrides": list(PRINT)}}
+    (tmp_path / "empty" / "plan.json").write_text(json.dumps(held), encoding="utf-8")
+    assert scanned_plan(str(tmp_path / "empty")).toolpath.length == pytest.approx(drawn()[1].length)
+
+
+def test_a_saved_plan_and_its_inputs(tmp_path: Path) -> None:
+    problem = tmp_path / "mine.yaml"
+    shipped = drawn()[0].file.read_text(encoding="utf-8")
+    problem.write_text(shipped.replace("size_mm: [60, 60]", "size_mm: [14, 14]"), encoding="utf-8")
+    plan = solve(load_problem(problem, [*QUICK, "layers.count=2"]), baseline=False)
+    saved = plan.save(tmp_path / "plan.npz")
+    assert scanned_plan(str(saved)).toolpath.length == pytest.approx(plan.toolpath.length)
+    problem.write_text(shipped, encoding="utf-8")
+    with pytest.raises(InputError, match="mm of beads were planned, and its problem now has"):
+        scanned_plan(str(saved))
+    problem.unlink()
+    with pytest.raises(InputError, match="is not there any more"):
+        scanned_plan(str(saved))
+
+
+@pytest.mark.slow
+def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(tmp_path)
+    np.save(tmp_path / "cloud.npy", cloud() * 1e3)
+    given_ = ["hemisphere_honeycomb", "cloud.npy", "--after-layer", "2", "--quiet", *sets()]
+    assert main(given_) == EXIT_VERIFIED
+    folder = tmp_path / "out" / "hemisphere_honeycomb_after_2"
+    plan = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+    assert plan["verified"] and plan["first_bead"] == solved().first_bead
+    assert {"nozzle over the print", "begins above the scanned layer"} <= {check["name"] for check in plan["checks"]}
+    assert list(folder.glob("*.mod"))
