@@ -28,7 +28,7 @@ from planner.plan import Check, Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.register.fitting import FREEDOMS
-from planner.toolpath.as_printed import HeightField, beads_up_to, left, made_up, read_map
+from planner.toolpath.as_printed import DeviationField, beads_up_to, left, made_up, read_map
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.verify.scanned import ScannedTop, deviations, still_off
@@ -304,7 +304,7 @@ def test_a_slope_is_read_as_it_is() -> None:
     random = np.random.default_rng(5)
     x = np.column_stack([random.uniform(-0.02, 0.02, (900, 2)), np.zeros(900)])
     up = np.tile([0.0, 0.0, 1.0], (900, 1))
-    field = HeightField(x, up, 0.01 * x[:, 0] - 0.02 * x[:, 1] + 2e-4, RADIUS)
+    field = DeviationField(x, up, 0.01 * x[:, 0] - 0.02 * x[:, 1] + 2e-4, RADIUS)
     ask = np.column_stack([random.uniform(-0.018, 0.018, (50, 2)), np.full(50, 0.004)])
     assert np.abs(field.at(ask, up[:50]) - (0.01 * ask[:, 0] - 0.02 * ask[:, 1] + 2e-4)).max() < 2e-6
 

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint
-from planner.toolpath.as_printed import HeightField
+from planner.toolpath.as_printed import DeviationField
 from planner.toolpath.bead import Toolpath
 
 ACROSS = 0.3  # of a bead's width to either side: there its top is flat, farther out it falls away
@@ -125,7 +125,7 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
     for _ in range(_ROUNDS):
         if not measured.any():
             break
-        field = HeightField(top.middle[measured], top.out[measured], deviation[measured], radius)
+        field = DeviationField(top.middle[measured], top.out[measured], deviation[measured], radius)
         off = np.abs(deviation - field.at(top.middle, top.out))
         odd = measured & (off > max(_ODD * robust(off[measured]), _LEAST_ODD))
         measured &= ~odd
@@ -138,7 +138,7 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
         raise complain(reason + "or more that agree", hint=hint)
     deviation, hole = _filled(top, deviation, measured, radius)
     found = HeightMap(top, deviation, measured, count, scatter, deviation, radius, hole)
-    smoothed = HeightField(top.middle, top.out, deviation, radius).at(top.middle, top.out)
+    smoothed = DeviationField(top.middle, top.out, deviation, radius).at(top.middle, top.out)
     return replace(found, smoothed=smoothed)
 
 
@@ -221,7 +221,7 @@ def _filled(top: PlannedTop, deviation: Array, measured: Flags, radius: float) -
     grown = np.ceil(np.maximum(np.log(np.maximum(_GROWN * away / radius, 1.0)) / np.log(_GROWN), 0.0))
     for step in np.unique(grown):
         own = holes[grown == step]
-        field = HeightField(
+        field = DeviationField(
             top.middle[measured], top.out[measured], deviation[measured], radius * _GROWN**step, bent=True
         )
         out[own] = field.at(top.middle[own], top.out[own])

@@ -41,7 +41,7 @@ _STEPS = 2  # from a place above the map down to its nearest node
 
 
 @dataclass(frozen=True)
-class HeightField(ReadOnlyArrays):
+class DeviationField(ReadOnlyArrays):
     """A height map (n nodes) that can be asked anywhere.
 
     points (n, 3)   on the planned top of a layer, part frame [m];  normals (n, 3) outward, of unit length
@@ -125,7 +125,7 @@ def left(deviation: Array, most: float, layers: int) -> Array:
     return deviation
 
 
-def read_map(path: Path, radius: float, complain: Complaint) -> HeightField:
+def read_map(path: Path, radius: float, complain: Complaint) -> DeviationField:
     """The height map in a file. Raises InputError, made by `complain`, where there is none, or one of its rows is none."""
     lines = read_text(path, LARGEST_MAP, complain)
     rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
@@ -143,7 +143,7 @@ def read_map(path: Path, radius: float, complain: Complaint) -> HeightField:
     size = np.linalg.norm(table[:, 3:6], axis=1)
     if not np.isfinite(table).all() or (np.abs(size - 1.0) > 1e-3).any():
         raise complain(f"{path.name} has numbers that are not finite, or normals not of unit length", hint=None)
-    return HeightField(table[:, :3] * 1e-3, table[:, 3:6] / size[:, None], table[:, 6] * 1e-3, radius)
+    return DeviationField(table[:, :3] * 1e-3, table[:, 3:6] / size[:, None], table[:, 6] * 1e-3, radius)
 
 
 def printed_beads(problem: Problem, toolpath: Toolpath) -> int:
@@ -205,7 +205,7 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     return replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
 
 
-def _moved(problem: Problem, field: HeightField, bead: Bead) -> Bead:
+def _moved(problem: Problem, field: DeviationField, bead: Bead) -> Bead:
     """A bead where it lies on what is printed."""
     spec = problem.as_printed
     if spec is None:
