@@ -16,7 +16,7 @@ SPAN = 0.04  # s before and behind an instant, over which places are averaged to
 LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
 STILL = (np.radians(0.02), 5e-5)  # by which averages differ at most where a joint stands [rad, m]
 SIGMAS = 6.0  # of noise that are no motion
-SAME = (np.radians(0.15), 0.5e-3)  # from where it was asked to rest; servos leave less [rad, m]
+SAME = (np.radians(0.1), 0.4e-3)  # from where it was asked to rest; servos leave less [rad, m]
 STRAY = (np.radians(0.3), 1e-3)  # by which joints may move that were not asked to [rad, m]
 SLOWEST = 0.0125  # s between samples: a short move takes some 80 ms
 GAP = 5.0  # median steps: a longer one is a gap
@@ -291,7 +291,7 @@ def _another_program(log: RobotLog, asked: AskedMoves, rests: Rests) -> InputErr
     for k in range(len(rests)):
         part = rests.postures[k : k + len(wanted)]
         fits = (np.abs(part - wanted[: len(part)]) < same).all(axis=1)
-        held[k] = len(fits) if fits.all() else int(np.argmin(fits))
+        held[k] = len(part) if fits.all() else int(np.argmin(fits))
     best = int(np.argmax(held))
     count = int(held[best])
     hint = "record the program that was written with the file of --asked, from its first posture to its last"

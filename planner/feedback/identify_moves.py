@@ -1,8 +1,8 @@
 """Moves that show what each joint can do: one joint after another, within the space that is free around a posture.
 
 Short moves end before the acceleration is reached and show the jerk, longer ones the acceleration, the longest the
-speed. Each joint goes from one end of its free space, out and back over distances that double, at full speed; then all
-the way at shares of it. Rests between the moves tell them apart in a recording.
+speed. Each joint goes from one end of its free space, out and back over distances that double, at full speed; then some
+of the way at shares of it. Rests between the moves tell them apart in a recording.
 """
 
 from __future__ import annotations
@@ -20,13 +20,16 @@ from planner.motion.travel.clearance import SWEPT
 from planner.problem import Problem
 
 # Least and greatest length of moves: of joints that turn [rad], and of those that slide [m]. At 0.5 degrees an arm with
-# 15 rad/s² and 750 rad/s³ is limited by its jerk alone, and a noise of 0.01 degrees is a fiftieth of it.
-SHORTEST = (np.radians(0.5), 2e-3)
-USUAL_MOST = (np.radians(90.0), 0.5)
+# 15 rad/s² and 750 rad/s³ is limited by its jerk alone. In longer moves a jerk only rounds corners by less than a noise of
+# 0.01 degrees, in shorter ones noise counts for more: so several short ones are made, each some times.
+SHORTEST = (np.radians(0.25), 1e-3)
+SHORT = 5.0  # times the shortest: moves up to that are repeated
+REPEATS = 3
+USUAL_MOST = (np.radians(180.0), 1.0)
 END_ROOM = (np.radians(2.0), 10e-3)  # from the ends of joints' ranges
-LEAST_SPACE = 4.0  # of the shortest moves: a joint with less shows nothing, and is left out
-SLOW_SHARES = (0.5, 0.25)  # of the joint's speed, at which it goes all the way as well
-REST = 0.5  # s between moves: servos settle, and a recording shows that all joints stand
+LEAST_SPACE = 8.0  # of the shortest moves: a joint with less shows nothing, and is left out
+SLOW_SHARES = (0.5, 0.25)  # of the joint's speed, at which it goes by that share of the whole way as well
+REST = 0.4  # s between moves: servos settle, and a recording shows that all joints stand
 JOINT_REST = 1.0  # s before another joint's moves
 END = "the end of its range"
 CLEAR = 2e-3  # m of clearance beyond what is needed from which nothing more is looked at
@@ -175,9 +178,10 @@ def _joint_moves(j: int, home: float, space: FreeSpace, shortest: float) -> list
     # the last of the distances that double is the whole space, unless that is hardly more than the one before
     count = int(np.log2(whole / shortest) - 0.5)
     distances = [*(shortest * 2.0**k for k in range(count + 1)), whole]
+    distances = [each for each in distances for _ in range(REPEATS if each <= SHORT * shortest else 1)]
     out = [AskedMove(j, home, space.low, 1.0)] if home - space.low > 0.5 * shortest else []
     base = out[-1].end if out else home
-    for distance, share in [*((each, 1.0) for each in distances), *((whole, share) for share in SLOW_SHARES)]:
+    for distance, share in [*((each, 1.0) for each in distances), *((share * whole, share) for share in SLOW_SHARES)]:
         there = min(base + distance, space.high)
         out += [AskedMove(j, base, there, share), AskedMove(j, there, base, share)]
     return [*out, AskedMove(j, base, home, 1.0)] if base != home else out

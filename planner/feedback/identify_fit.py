@@ -1,0 +1,383 @@
+"""Limits of a joint from its recorded moves: jerk-limited profiles, fitted by least squares rather than differentiated.
+
+All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
+ones the acceleration, the longest the speed. Models are tried, from the simplest on, until nothing but noise is
+left: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a model, 1978). Where one
+set of limits does not explain all moves, as with an arm whose drives are asked more in one posture than in another, each
+move is fitted by itself, and the least limits are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from planner.base.arrays import Array, Flags, ReadOnlyArrays
+from planner.feedback.identify_match import MatchedLog
+from planner.feedback.identify_moves import AskedMoves
+from planner.feedback.identify_profile import MotionLimits, MoveProfile, move_profile
+
+QUANTITIES = ("speed", "acceleration", "jerk")
+FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is no noise
+KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 %
+VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
+VAGUE_MOVE = 0.5  # of one move's, around what all moves have
+DIFFER = 3.0  # times the noise's variance that residuals have, from which moves are said to differ
+NOISE_UNSURE = 0.02  # share by which the variance of the noise is not known from the rests
+STEP = 1e-5  # of a logarithm, for derivatives
+INSTANT = 1e-6  # s, likewise
+FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
+FIRST_LAGS = (0.003, 0.02)  # s, likewise
+
+
+@dataclass(frozen=True)
+class MoveSamples(ReadOnlyArrays):
+    """One recorded move: times (m) [s], way gone (m) [rad, m] towards its end, the whole distance, share of the speed."""
+
+    time: Array
+    way: Array
+    distance: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A limit that a recording shows, or what it shows instead.
+
+    value    [rad, s; m where it slides]: the limit, or the greatest that was reached
+    error    its standard error [same unit]; NaN where the limit was not reached
+    spread   least and greatest among moves that differ; both the value where they agree
+    asked    the limit that the program itself had set, which hides the robot's own if that was reached
+    """
+
+    value: float
+    error: float
+    spread: tuple[float, float]
+    asked: float | None
+
+    @property
+    def told(self) -> bool:
+        """Whether the recording tells the limit."""
+        return bool(np.isfinite(self.error))
+
+    @property
+    def as_asked(self) -> bool:
+        """Whether it is no more than the limit that the program had set: the robot may be able to do more."""
+        return self.told and self.asked is not None and self.value > 0.97 * self.asked
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """What a joint's moves say: speed, acceleration, jerk; the servo's lag [s] seen in them; how well they are explained.
+
+    residual   root mean square of what is left [rad, m];  noise: standard deviation at rest [rad, m]
+    braking    acceleration and jerk of braking where they differ from those of speeding up, else None
+    """
+
+    joint: int
+    speed: Identified
+    acceleration: Identified
+    jerk: Identified
+    braking: tuple[float, float] | None
+    lag: float
+    residual: float
+    noise: float
+    moves: int
+
+    @property
+    def limits(self) -> tuple[Identified, Identified, Identified]:
+        """Speed, acceleration, jerk."""
+        return self.speed, self.acceleration, self.jerk
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Which parameters the moves of a joint share, after the speeds: logarithms."""
+
+    braking: bool
+    lag: bool
+
+    @property
+    def size(self) -> int:
+        return 2 + 2 * self.braking + self.lag
+
+    def limits(self, shared: Array, level: int, levels: int) -> MotionLimits:
+        own = np.exp(np.clip(shared, -30.0, 30.0))
+        acceleration, jerk, *rest = own[levels:]
+        braking = rest[:2] if self.braking else [acceleration, jerk]
+        return MotionLimits(
+            float(own[level]), float(acceleration), float(jerk), float(braking[0]), float(braking[1]),
+            float(rest[-1]) if self.lag else 0.0,
+        )  # fmt: skip
+
+
+MODELS = tuple(_Model(braking, lag) for lag in (False, True) for braking in (False, True))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    model: _Model
+    shared: Array
+    instants: Array
+    errors: Array  # standard errors of the shared parameters
+    squares: float  # sum of squared residuals, in the noise's variance
+    count: int
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's: the less the better."""
+        return float(self.count * np.log((self.squares + 0.01 * self.count) / self.count)) + len(self.shared) * float(
+            np.log(self.count)
+        )
+
+
+def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple[float, float, float]) -> JointFit:
+    """The limits of one joint; first_guess: speed, acceleration, jerk of its file [rad, m].
+
+    Where the controller made the profile, and its commands are in the recording, these are fitted; otherwise what was
+    executed, with the servo's lag.
+    """
+    own_profile = asked.asked[2] is None
+    commanded = log.commanded is not None and own_profile
+    moves = samples_of(log, asked, joint, commanded)
+    noise = FLOOR if commanded else max(float(log.noise[joint]), FLOOR)
+    solved = _solve_all(moves, noise, first_guess, lags=not commanded)
+    return _told(solved, moves, noise, float(log.noise[joint]), joint, asked)
+
+
+def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) -> list[MoveSamples]:
+    """The samples of a joint's moves, each from the end of the rest before to the quiet part of the one behind."""
+    out = []
+    q = log.commanded if commanded and log.commanded is not None else log.executed
+    for k, move in enumerate(asked.moves):
+        if move.joint != joint:
+            continue
+        (first, last), (next_first, next_last) = log.rests[k].tolist(), log.rests[k + 1].tolist()
+        before, after = q[first : last + 1, joint].mean(), q[next_first : next_last + 1, joint].mean()
+        part = slice(last, next_first + 1)
+        side = np.sign(after - before)
+        out.append(
+            MoveSamples(log.time[part], side * (q[part, joint] - before), float(abs(after - before)), move.share)
+        )
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Least squares.
+
+
+def _solve_all(
+    moves: Sequence[MoveSamples], noise: float, first_guess: tuple[float, float, float], lags: bool
+) -> _Solved:
+    """The best of the models."""
+    shares = sorted({move.share for move in moves}, reverse=True)
+    speeds = np.log([_quickest(moves, share) for share in shares])
+    instants = np.array([_half_way(move) for move in moves])
+    start = _start(moves, noise, speeds, instants, first_guess)
+    plain = _solve(MODELS[0], moves, noise, start, instants)
+    found, levels = [plain], len(shares)
+    for model in MODELS[1:] if lags else MODELS[1:2]:
+        # where no more than the noise is left, a further parameter would only explain that
+        if found[-1].squares < found[-1].count * (1.0 + 2.0 * np.sqrt(2.0 / found[-1].count) + NOISE_UNSURE):
+            break
+        for lag in FIRST_LAGS if model.lag else (0.0,):
+            # a lag that was not modelled has been taken for a lesser jerk
+            begin = plain.shared.copy()
+            begin[levels + 1] += np.log(2.0) if model.lag else 0.0
+            more = [*(begin[levels : levels + 2] if model.braking else ()), *([np.log(lag)] if model.lag else ())]
+            found.append(_solve(model, moves, noise, np.append(begin, more), plain.instants))
+    return min(found, key=lambda each: each.criterion)
+
+
+def _quickest(moves: Sequence[MoveSamples], share: float) -> float:
+    """The greatest mean speed over some 20 ms among moves at a share of the speed."""
+    found = []
+    for move in moves:
+        if move.share == share:
+            n = max(1, min(round(0.02 / float(np.median(np.diff(move.time)))), len(move.time) // 4))
+            found.append(float(((move.way[n:] - move.way[:-n]) / (move.time[n:] - move.time[:-n])).max()))
+    return max(*found, 1e-6)
+
+
+def _half_way(move: MoveSamples) -> float:
+    """When half of the distance was gone [s]."""
+    beyond = int(np.argmax(move.way > 0.5 * move.distance))
+    if beyond == 0:
+        return float(move.time.mean())
+    a, b = move.way[beyond - 1], move.way[beyond]
+    share = float(np.clip((0.5 * move.distance - a) / (b - a), 0.0, 1.0))
+    return float(move.time[beyond - 1] + share * (move.time[beyond] - move.time[beyond - 1]))
+
+
+def _start(
+    moves: Sequence[MoveSamples], noise: float, speeds: Array, instants: Array, first_guess: tuple[float, float, float]
+) -> Array:
+    """The shared parameters at which the search begins: the best of a coarse grid of accelerations and jerks."""
+    best, start = np.inf, np.append(speeds, np.log(first_guess[1:]))
+    for acceleration in first_guess[1] * FACTORS:
+        for jerk in first_guess[2] * FACTORS:
+            trial = np.append(speeds, np.log([acceleration, jerk]))
+            squares = sum(
+                float((_off(MODELS[0], trial, len(speeds), move, level, at) ** 2).sum())
+                for move, level, at in zip(moves, _levels(moves), instants, strict=True)
+            )
+            if squares < best:
+                best, start = squares, trial
+    return start
+
+
+def _levels(moves: Sequence[MoveSamples]) -> list[int]:
+    """Of each move which of the shares, from the greatest, it has."""
+    shares = sorted({move.share for move in moves}, reverse=True)
+    return [shares.index(move.share) for move in moves]
+
+
+def _profile(model: _Model, shared: Array, levels: int, move: MoveSamples, level: int) -> MoveProfile:
+    return move_profile(move.distance, model.limits(shared, level, levels))
+
+
+def _off(model: _Model, shared: Array, levels: int, move: MoveSamples, level: int, at: float) -> Array:
+    """Modelled minus recorded way (m); `at` is the middle of the move in time, as the servo lags [s]."""
+    profile = _profile(model, shared, levels, move, level)
+    return profile.at(move.time - (at - 0.5 * profile.total - profile.lag)) - move.way
+
+
+def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array) -> _Solved:
+    level, levels = _levels(moves), len(start) - model.size
+    begins = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum([len(move.time) for move in moves])])
+    n, count = len(start), int(begins[-1])
+
+    def residuals(x: Array) -> Array:
+        parts = [
+            _off(model, x[:n], levels, move, own, x[n + k]) / noise
+            for k, (move, own) in enumerate(zip(moves, level, strict=True))
+        ]
+        return np.concatenate([*parts, (x[:n] - start) / VAGUE])
+
+    def slopes(x: Array) -> Array:
+        out = np.zeros((count + n, len(x)))
+        here = residuals(x)
+        for i in range(n):
+            step = x.copy()
+            step[i] += STEP
+            out[:, i] = (residuals(step) - here) / STEP
+        for k, (move, own) in enumerate(zip(moves, level, strict=True)):
+            part = slice(begins[k], begins[k + 1])
+            later = _off(model, x[:n], levels, move, own, x[n + k] + INSTANT) / noise
+            out[part, n + k] = (later - here[part]) / INSTANT
+        return out
+
+    found = least_squares(residuals, np.append(start, instants), slopes, method="trf", x_scale="jac", max_nfev=60)
+    squares = float((found.fun[:count] ** 2).sum())
+    scale = max(1.0, squares / max(count - len(found.x), 1))
+    covariance = np.linalg.pinv(found.jac.T @ found.jac) * scale
+    return _Solved(model, found.x[:n], found.x[n:], np.sqrt(np.diag(covariance)[:n]), squares, count)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is told of it.
+
+
+def _told(
+    solved: _Solved, moves: Sequence[MoveSamples], noise: float, at_rest: float, joint: int, asked: AskedMoves
+) -> JointFit:
+    levels = len(solved.shared) - solved.model.size
+    level = _levels(moves)
+    limits = solved.model.limits(solved.shared, 0, levels)
+    profiles = [
+        _profile(solved.model, solved.shared, levels, move, own) for move, own in zip(moves, level, strict=True)
+    ]
+    own = [None if values is None else float(values[joint]) for values in asked.asked]
+    shares = np.array([move.share for move in moves])
+    ends = np.array([_reached(profile) for profile in profiles])
+    speed = _limit(
+        np.array([limits.speed]), solved.errors[:1], np.array([ends[shares == shares.max(), 0].any()]),
+        max(profile.top_speed for profile in profiles), own[0],
+    )  # fmt: skip
+    sides = 1 + solved.model.braking
+    tops = max(max(profile.top_acceleration, profile.top_braking) for profile in profiles)
+    rates = np.array([limits.acceleration, limits.braking])[:sides]
+    errors = solved.errors[levels:]
+    acceleration = _limit(rates, errors[0 : 2 * sides : 2], np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, own[1])
+    jerks = np.array([limits.jerk, limits.braking_jerk])[:sides]
+    # a jerk that is not told is greater than that with 95 % confidence
+    least = float((jerks * np.exp(-2.0 * errors[1 : 2 * sides : 2])).min())
+    jerk = _limit(jerks, errors[1 : 2 * sides : 2], np.ones(sides, dtype=np.bool_), least, own[2])
+    residual = noise * float(np.sqrt(solved.squares / solved.count))
+    if solved.squares > DIFFER * solved.count:
+        acceleration, jerk = _by_move(solved, moves, noise, (acceleration, jerk))
+    return JointFit(
+        joint=joint,
+        speed=speed,
+        acceleration=acceleration,
+        jerk=jerk,
+        braking=(limits.braking, limits.braking_jerk) if solved.model.braking else None,
+        lag=limits.lag,
+        residual=residual,
+        noise=at_rest,
+        moves=len(moves),
+    )
+
+
+def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
+    """Whether a move comes to its greatest speed, acceleration, and braking, and stays there for a while."""
+    least = 1e-3 * profile.total
+    return tuple((profile.duration[[3, 1, 5]] > least).tolist())  # type: ignore[return-value]
+
+
+def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> Identified:
+    """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached."""
+    known = reached & (errors < KNOWN)
+    if not known.any():
+        return Identified(top, float("nan"), (top, top), asked)
+    k = int(np.argmin(np.where(known, values, np.inf)))
+    value = float(values[k])
+    return Identified(value, value * float(errors[k]), (value, value), asked)
+
+
+def _by_move(
+    solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified]
+) -> tuple[Identified, Identified]:
+    """Acceleration and jerk where the moves differ: the least that any move shows by itself, and their spread."""
+    levels = len(solved.shared) - solved.model.size
+    lag = solved.model.limits(solved.shared, 0, levels).lag
+    found: tuple[list[float], list[float]] = ([], [])
+    for move, own, at in zip(moves, _levels(moves), solved.instants, strict=True):
+        start = np.append(solved.shared[own], solved.shared[levels : levels + 2])
+        limits, errors = _solve_one(move, noise, start, float(at), lag)
+        reached = _reached(move_profile(move.distance, limits))
+        if reached[1] and reached[2] and errors[1] < KNOWN:
+            found[0].append(limits.acceleration)
+        if errors[2] < KNOWN:
+            found[1].append(limits.jerk)
+    return _least(found[0], shared[0]), _least(found[1], shared[1])
+
+
+def _least(values: Sequence[float], shared: Identified) -> Identified:
+    if len(values) < 2:
+        return shared
+    low, high = min(values), max(values)
+    return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
+
+
+def _solve_one(
+    move: MoveSamples, noise: float, start: Array, at: float, lag: float
+) -> tuple[MotionLimits, Array]:
+    """Limits of one move by itself, near those (3) of all moves, and the standard errors (3) of their logarithms."""
+
+    def limits(x: Array) -> MotionLimits:
+        speed, acceleration, jerk = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
+        return MotionLimits(speed, acceleration, jerk, acceleration, jerk, lag)
+
+    def residuals(x: Array) -> Array:
+        profile = move_profile(move.distance, limits(x))
+        off = profile.at(move.time - (x[3] - 0.5 * profile.total - lag)) - move.way
+        return np.concatenate([off / noise, (x[:3] - start) / VAGUE_MOVE])
+
+    found = least_squares(residuals, np.append(start, at), method="trf", x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=60)
+    scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
+    errors: Array = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac) * scale))
+    return limits(found.x), errors[:3]
