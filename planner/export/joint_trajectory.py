@@ -202,7 +202,11 @@ def message(joint_names: Sequence[str], knots: SplineKnots) -> str:
     ]
     # a stamp of nought: start at once, as soon as the message comes
     head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    return f'{{"header":{_line(head)},\n"joint_names":{_line(list(joint_names))},\n"points":[\n' + ",\n".join(points) + "\n]}\n"
+    return (
+        f'{{"header":{_line(head)},\n"joint_names":{_line(list(joint_names))},\n"points":[\n'
+        + ",\n".join(points)
+        + "\n]}\n"
+    )
 
 
 def write(plan: Plan) -> dict[str, str]:

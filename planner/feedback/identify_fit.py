@@ -301,7 +301,9 @@ def _told(
     tops = max(max(profile.top_acceleration, profile.top_braking) for profile in profiles)
     rates = np.array([limits.acceleration, limits.braking])[:sides]
     errors = solved.errors[levels:]
-    acceleration = _limit(rates, errors[0 : 2 * sides : 2], np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, own[1])
+    acceleration = _limit(
+        rates, errors[0 : 2 * sides : 2], np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, own[1]
+    )
     jerks = np.array([limits.jerk, limits.braking_jerk])[:sides]
     # a jerk that is not told is greater than that with 95 % confidence
     least = float((jerks * np.exp(-2.0 * errors[1 : 2 * sides : 2])).min())
@@ -363,9 +365,7 @@ def _least(values: Sequence[float], shared: Identified) -> Identified:
     return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
 
 
-def _solve_one(
-    move: MoveSamples, noise: float, start: Array, at: float, lag: float
-) -> tuple[MotionLimits, Array]:
+def _solve_one(move: MoveSamples, noise: float, start: Array, at: float, lag: float) -> tuple[MotionLimits, Array]:
     """Limits of one move by itself, near those (3) of all moves, and the standard errors (3) of their logarithms."""
 
     def limits(x: Array) -> MotionLimits:
