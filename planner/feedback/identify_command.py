@@ -20,7 +20,7 @@ from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
 from planner.feedback.identify_delay import JointDelay, fit_delay
-from planner.feedback.identify_fit import QUANTITIES, Identified, JointFit, fit_joint
+from planner.feedback.identify_fit import QUANTITIES, Identified, JointFit, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
 from planner.feedback.identify_moves import (
@@ -188,9 +188,8 @@ def _read(options: argparse.Namespace) -> int:
     asked = read_asked(_asked_path(options, problem), problem, cell)
     log = match(read_log(options.log, cell, options.columns), asked)
     limits = cell.limits
-    moved = sorted({move.joint for move in asked.moves})
-    fits = [fit_joint(log, asked, j, (limits.velocity[j], limits.acceleration[j], limits.jerk[j])) for j in moved]
-    delays = {j: delay for j in moved if (delay := fit_delay(log, asked, j)) is not None}
+    log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
+    delays = {fit.joint: delay for fit in fits if (delay := fit_delay(log, asked, fit.joint)) is not None}
     print(
         "\n".join([*log.remarks, *_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays)])
     )

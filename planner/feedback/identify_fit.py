@@ -10,7 +10,7 @@ move is fitted by itself, and the least limits are told.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -25,8 +25,11 @@ FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is 
 KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 %
 VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
 VAGUE_MOVE = 0.5  # of one move's, around what all moves have
-DIFFER = 3.0  # times the noise's variance that residuals have, from which moves are said to differ
+DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
+LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
 NOISE_UNSURE = 0.02  # share by which the variance of the noise is not known from the rests
+UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
+MOST_UNEVEN = 0.02  # s from even samples to their stamps
 STEP = 1e-5  # of a logarithm, for derivatives
 INSTANT = 1e-6  # s, likewise
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
@@ -132,6 +135,40 @@ class _Solved:
         return float(self.count * np.log((self.squares + 0.01 * self.count) / self.count)) + len(self.shared) * float(
             np.log(self.count)
         )
+
+
+def fit_joints(
+    log: MatchedLog, asked: AskedMoves, first_guess: tuple[Array, Array, Array]
+) -> tuple[MatchedLog, list[JointFit]]:
+    """The limits of all joints that moved, and the recording with the clock that explains them.
+
+    first_guess: speeds, accelerations, jerks (n each) of their files [rad, m]. Where stamps are uneven, samples may have
+    been taken evenly all the same, and stamped late: what leaves less unexplained is taken.
+    """
+    joints = sorted({move.joint for move in asked.moves})
+    found = []
+    for each in (log, *evened(log)):
+        guesses = [(float(first_guess[0][j]), float(first_guess[1][j]), float(first_guess[2][j])) for j in joints]
+        fits = [fit_joint(each, asked, j, guess) for j, guess in zip(joints, guesses, strict=True)]
+        found.append((sum((fit.residual / max(fit.noise, FLOOR)) ** 2 for fit in fits), each, fits))
+    _, best, fits = min(found, key=lambda one: one[0])
+    return best, fits
+
+
+def evened(log: MatchedLog) -> list[MatchedLog]:
+    """The recording with even steps of time, where its stamps are uneven and could be those of even samples; or nothing."""
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
+    if steps.std() < UNEVEN * step:
+        return []
+    first, last = int(log.rests[0, 0]), int(log.rests[-1, 1])
+    count = np.arange(len(log.time), dtype=np.float64)
+    slope, begin = np.polyfit(count[first : last + 1], log.time[first : last + 1], 1)
+    even = begin + slope * count
+    if np.abs(even - log.time)[first : last + 1].max() > MOST_UNEVEN:
+        return []
+    remark = f"stamps are uneven by {1e3 * float(steps.std()):.2g} ms, samples are not: they are taken as even"
+    return [replace(log, time=even, remarks=(*log.remarks, remark))]
 
 
 def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple[float, float, float]) -> JointFit:
@@ -310,7 +347,7 @@ def _told(
     jerk = _limit(jerks, errors[1 : 2 * sides : 2], np.ones(sides, dtype=np.bool_), least, own[2])
     residual = noise * float(np.sqrt(solved.squares / solved.count))
     if solved.squares > DIFFER * solved.count:
-        acceleration, jerk = _by_move(solved, moves, noise, (acceleration, jerk))
+        speed, acceleration, jerk = _by_move(solved, moves, noise, (speed, acceleration, jerk))
     return JointFit(
         joint=joint,
         speed=speed,
@@ -337,36 +374,49 @@ def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: floa
         return Identified(top, float("nan"), (top, top), asked)
     k = int(np.argmin(np.where(known, values, np.inf)))
     value = float(values[k])
-    return Identified(value, value * float(errors[k]), (value, value), asked)
+    return Identified(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
 
 
 def _by_move(
-    solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified]
-) -> tuple[Identified, Identified]:
-    """Acceleration and jerk where the moves differ: the least that any move shows by itself, and their spread."""
+    solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified, Identified]
+) -> tuple[Identified, Identified, Identified]:
+    """Speed, acceleration and jerk where one set does not explain all moves: from those that explain themselves."""
     levels = len(solved.shared) - solved.model.size
     lag = solved.model.limits(solved.shared, 0, levels).lag
-    found: tuple[list[float], list[float]] = ([], [])
+    found: list[list[tuple[float, float]]] = [[], [], []]
     for move, own, at in zip(moves, _levels(moves), solved.instants, strict=True):
         start = np.append(solved.shared[own], solved.shared[levels : levels + 2])
-        limits, errors = _solve_one(move, noise, start, float(at), lag)
-        reached = _reached(move_profile(move.distance, limits))
-        if reached[1] and reached[2] and errors[1] < KNOWN:
-            found[0].append(limits.acceleration)
-        if errors[2] < KNOWN:
-            found[1].append(limits.jerk)
-    return _least(found[0], shared[0]), _least(found[1], shared[1])
+        limits, errors, scale = _solve_one(move, noise, start, float(at), lag)
+        cruises, speeds_up, brakes = _reached(move_profile(move.distance, limits))
+        shown = (cruises and own == 0, speeds_up and brakes, True)
+        of_move = (limits.speed, limits.acceleration, limits.jerk)
+        for values, value, error, is_shown in zip(found, of_move, errors.tolist(), shown, strict=True):
+            if is_shown and error < KNOWN and scale < DIFFER**2:
+                values.append((value, error))
+    return _least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])
 
 
-def _least(values: Sequence[float], shared: Identified) -> Identified:
-    if len(values) < 2:
-        return shared
-    low, high = min(values), max(values)
+def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
+    """The least of some moves' limits, given with the standard errors of their logarithms; their mean where they agree;
+    what was reached where fewer than two are known."""
+    if len(found) < 2:
+        return Identified(shared.value, float("nan"), shared.spread, shared.asked)
+    values, errors = np.array(found).T
+    logs, weights = np.log(values), 1.0 / np.maximum(errors, LEAST_ERROR) ** 2
+    mean = float(np.average(logs, weights=weights))
+    apart = float((weights * (logs - mean) ** 2).sum()) / (len(logs) - 1)
+    if apart < DIFFER:
+        value, error = float(np.exp(mean)), float(np.sqrt(max(apart, 1.0) / weights.sum()))
+        return Identified(value, value * max(error, LEAST_ERROR), (value, value), shared.asked)
+    low, high = float(values.min()), float(values.max())
     return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
 
 
-def _solve_one(move: MoveSamples, noise: float, start: Array, at: float, lag: float) -> tuple[MotionLimits, Array]:
-    """Limits of one move by itself, near those (3) of all moves, and the standard errors (3) of their logarithms."""
+def _solve_one(
+    move: MoveSamples, noise: float, start: Array, at: float, lag: float
+) -> tuple[MotionLimits, Array, float]:
+    """Limits of one move by itself, near those (3) of all moves, the standard errors (3) of their logarithms, and the
+    variance of what is left, in that of the noise."""
 
     def limits(x: Array) -> MotionLimits:
         speed, acceleration, jerk = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
@@ -380,4 +430,4 @@ def _solve_one(move: MoveSamples, noise: float, start: Array, at: float, lag: fl
     found = least_squares(residuals, np.append(start, at), method="trf", x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=60)
     scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
     errors: Array = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac) * scale))
-    return limits(found.x), errors[:3]
+    return limits(found.x), errors[:3], scale
