@@ -109,9 +109,7 @@ def _solve(moves: Sequence[FollowedMove], noise: float, start: Array) -> tuple[A
         return np.concatenate([(move.modelled(x[0], x[1]) - move.executed) / noise for move in moves])
 
     bounds = ([EARLIEST, 0.0], [LONGEST, LONGEST])
-    found = least_squares(
-        residuals, start, bounds=bounds, x_scale=[1e-3, 1e-3], diff_step=1e-3, method="trf", max_nfev=60
-    )
+    found = least_squares(residuals, start, bounds=bounds, x_scale=[1e-3, 1e-3], diff_step=1e-3, max_nfev=60)
     squares = float((found.fun**2).sum())
     scale = max(1.0, squares / max(len(found.fun) - 2, 1))
     return found.x, np.linalg.pinv(found.jac.T @ found.jac) * scale, squares

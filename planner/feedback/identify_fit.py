@@ -1,8 +1,9 @@
 """Limits of a joint from its recorded moves: jerk-limited profiles, fitted by least squares rather than differentiated.
 
 All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
-ones the acceleration, the longest the speed. Models are tried, from the simplest on, until nothing but noise is
-left: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a model, 1978). Where one
+ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain
+more than chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a
+model, 1978). Where one
 set of limits does not explain all moves, as with an arm whose drives are asked more in one posture than in another, each
 move is fitted by itself, and the least limits are told.
 """
@@ -27,11 +28,12 @@ VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seve
 VAGUE_MOVE = 0.5  # of one move's, around what all moves have
 DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
 LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
-NOISE_UNSURE = 0.02  # share by which the variance of the noise is not known from the rests
 UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
 MOST_UNEVEN = 0.02  # s from even samples to their stamps
 STEP = 1e-5  # of a logarithm, for derivatives
 INSTANT = 1e-6  # s, likewise
+MOST_STEPS = 60  # of a search
+FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
 
@@ -106,6 +108,15 @@ class _Model:
     @property
     def size(self) -> int:
         return 2 + 2 * self.braking + self.lag
+
+    def extends(self, other: _Model) -> bool:
+        """Whether it has one thing more than another."""
+        return (
+            self.braking >= other.braking
+            and self.lag >= other.lag
+            and self.size > other.size
+            and (self.braking == other.braking or self.lag == other.lag)
+        )
 
     def limits(self, shared: Array, level: int, levels: int) -> MotionLimits:
         own = np.exp(np.clip(shared, -30.0, 30.0))
@@ -215,17 +226,33 @@ def _solve_all(
     instants = np.array([_half_way(move) for move in moves])
     start = _start(moves, noise, speeds, instants, first_guess)
     plain = _solve(MODELS[0], moves, noise, start, instants)
-    found, levels = [plain], len(shares)
-    for model in MODELS[1:] if lags else MODELS[1:2]:
-        # where no more than the noise is left, a further parameter would only explain that
-        if found[-1].squares < found[-1].count * (1.0 + 2.0 * np.sqrt(2.0 / found[-1].count) + NOISE_UNSURE):
-            break
-        for lag in FIRST_LAGS if model.lag else (0.0,):
+    best, tried = plain, [MODELS[0]]
+    while True:
+        more = [
+            model for model in MODELS if model not in tried and model.extends(best.model) and (lags or not model.lag)
+        ]
+        if not more:
+            return best
+        tried += more
+        found = [_from(best, model, moves, noise, len(shares)) for model in more]
+        better = min(found, key=lambda each: each.criterion)
+        if better.criterion >= best.criterion:
+            return best
+        best = better
+
+
+def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: float, levels: int) -> _Solved:
+    """A model's solution, begun from that of one which it extends."""
+    speeds, (acceleration, jerk, *rest) = before.shared[:levels], before.shared[levels:]
+    braking = (rest[:2] if before.model.braking else [acceleration, jerk]) if model.braking else []
+    found = []
+    for lag in FIRST_LAGS if model.lag and not before.model.lag else (None,):
+        own = [acceleration, jerk, *braking]
+        if lag is not None:
             # a lag that was not modelled has been taken for a lesser jerk
-            begin = plain.shared.copy()
-            begin[levels + 1] += np.log(2.0) if model.lag else 0.0
-            more = [*(begin[levels : levels + 2] if model.braking else ()), *([np.log(lag)] if model.lag else ())]
-            found.append(_solve(model, moves, noise, np.append(begin, more), plain.instants))
+            own[1::2] = [value + np.log(2.0) for value in own[1::2]]
+        last = [] if not model.lag else [rest[-1] if lag is None else np.log(lag)]
+        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants))
     return min(found, key=lambda each: each.criterion)
 
 
@@ -307,7 +334,9 @@ def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Arr
             out[part, n + k] = (later - here[part]) / INSTANT
         return out
 
-    found = least_squares(residuals, np.append(start, instants), slopes, method="trf", x_scale="jac", max_nfev=60)
+    found = least_squares(
+        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+    )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1))
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * scale
@@ -346,15 +375,16 @@ def _told(
     least = float((jerks * np.exp(-2.0 * errors[1 : 2 * sides : 2])).min())
     jerk = _limit(jerks, errors[1 : 2 * sides : 2], np.ones(sides, dtype=np.bool_), least, own[2])
     residual = noise * float(np.sqrt(solved.squares / solved.count))
-    if solved.squares > DIFFER * solved.count:
-        speed, acceleration, jerk = _by_move(solved, moves, noise, (speed, acceleration, jerk))
+    differ, lag = solved.squares > DIFFER * solved.count, limits.lag
+    if differ:
+        (speed, acceleration, jerk), lag = _by_move(solved, moves, noise, (speed, acceleration, jerk))
     return JointFit(
         joint=joint,
         speed=speed,
         acceleration=acceleration,
         jerk=jerk,
-        braking=(limits.braking, limits.braking_jerk) if solved.model.braking else None,
-        lag=limits.lag,
+        braking=(limits.braking, limits.braking_jerk) if solved.model.braking and not differ else None,
+        lag=lag,
         residual=residual,
         noise=at_rest,
         moves=len(moves),
@@ -379,21 +409,28 @@ def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: floa
 
 def _by_move(
     solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified, Identified]
-) -> tuple[Identified, Identified, Identified]:
-    """Speed, acceleration and jerk where one set does not explain all moves: from those that explain themselves."""
+) -> tuple[tuple[Identified, Identified, Identified], float]:
+    """Speed, acceleration and jerk where one set does not explain all moves, from those that explain themselves; and lag."""
     levels = len(solved.shared) - solved.model.size
-    lag = solved.model.limits(solved.shared, 0, levels).lag
+    starts = [np.append(solved.shared[own], solved.shared[levels : levels + 2]) for own in _levels(moves)]
+    # the lag that was found for all moves may only have hidden that they differ
+    alone = {
+        lag: [
+            _solve_one(move, noise, start, float(at), lag)
+            for move, start, at in zip(moves, starts, solved.instants, strict=True)
+        ]
+        for lag in (0.0, solved.model.limits(solved.shared, 0, levels).lag)
+    }
+    lag = min(alone, key=lambda each: sum(scale for _, _, scale in alone[each]))
     found: list[list[tuple[float, float]]] = [[], [], []]
-    for move, own, at in zip(moves, _levels(moves), solved.instants, strict=True):
-        start = np.append(solved.shared[own], solved.shared[levels : levels + 2])
-        limits, errors, scale = _solve_one(move, noise, start, float(at), lag)
+    for move, own, (limits, errors, scale) in zip(moves, _levels(moves), alone[lag], strict=True):
         cruises, speeds_up, brakes = _reached(move_profile(move.distance, limits))
         shown = (cruises and own == 0, speeds_up and brakes, True)
         of_move = (limits.speed, limits.acceleration, limits.jerk)
         for values, value, error, is_shown in zip(found, of_move, errors.tolist(), shown, strict=True):
             if is_shown and error < KNOWN and scale < DIFFER**2:
                 values.append((value, error))
-    return _least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])
+    return (_least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])), lag
 
 
 def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
@@ -427,7 +464,9 @@ def _solve_one(
         off = profile.at(move.time - (x[3] - 0.5 * profile.total - lag)) - move.way
         return np.concatenate([off / noise, (x[:3] - start) / VAGUE_MOVE])
 
-    found = least_squares(residuals, np.append(start, at), method="trf", x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=60)
+    found = least_squares(
+        residuals, np.append(start, at), x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+    )
     scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
     errors: Array = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac) * scale))
     return limits(found.x), errors[:3], scale
