@@ -59,7 +59,8 @@ def script(shell: str) -> str:
         elif first in COMMANDS and first not in made:
             if first not in actions:
                 actions[first] = below.add_parser(first, help=COMMANDS[first].does).add_subparsers()
-            one = actions[first].add_parser(action, add_help=False, parents=[_completed(parser)])
+            told = parser.description
+            one = actions[first].add_parser(action, help=told, add_help=False, parents=[_completed(parser)])
         else:
             continue
         one.description = None
