@@ -6,6 +6,7 @@ import json
 import re
 import time as clock
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import ruckig
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -338,7 +339,7 @@ def _assert_near(truth: TrueRobot, fits: Sequence, within: float = 0.03) -> None
             assert abs(found.value - values[fit.joint]) < 4.0 * found.error
 
 
-@pytest.mark.slow(keep=("125.0",))
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [125.0, 250.0, 500.0])
 def test_limits_are_found_through_noise(tmp_path: Path, rate: float) -> None:
     _, cell = cell_of("cylinder_logo")
@@ -526,6 +527,32 @@ def test_recordings_are_read_as_tools_write_them(tmp_path: Path) -> None:
 
 
 SIX = tuple(f"q_{k}" for k in range(6))
+
+
+@given(text=st.text(alphabet="t_s,jJ123456;\n\"'0.5-e \t", max_size=400))
+def test_any_text_is_read_or_refused(text: str, tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.getbasetemp() / "any.csv"
+    file.write_text(text, encoding="utf-8")
+    cell = cell_of("peer_cap")[1]
+    for columns in (None, ["t_s", *(f"J{k}" for k in range(1, 7))]):
+        with suppress(InputError):
+            read_log(file, cell, columns)
+
+
+@settings(max_examples=20)
+@given(rows=st.lists(st.lists(st.sampled_from(["0", "1e400", "nan", "x", "-3.5", ""]), min_size=6, max_size=8), min_size=50,
+                     max_size=60))  # fmt: skip
+def test_any_numbers_are_read_or_refused(rows: list[list[str]], tmp_path_factory: pytest.TempPathFactory) -> None:
+    file = tmp_path_factory.getbasetemp() / "rows.csv"
+    file.write_text("\n".join(["t,J1,J2,J3,J4,J5,J6", *map(",".join, rows)]), encoding="utf-8")
+    with suppress(InputError):
+        match(read_log(file, cell_of("peer_cap")[1]), asked_of("peer_cap", joints=(0,)))
+
+
+def test_two_arms_of_one_kind_have_a_file_each(tmp_path: Path) -> None:
+    problem, cell = cell_of("fibre_bowl")
+    names = [robot.target(tmp_path).name for robot in robots_of(problem, cell)]
+    assert len(set(names)) == len(names) == 2
 
 
 def _spoilt(change: str) -> tuple[str, str]:

@@ -20,7 +20,7 @@ from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
 from planner.feedback.identify_delay import JointDelay, fit_delay
-from planner.feedback.identify_fit import QUANTITIES, Identified, JointFit, fit_joints
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointFit, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
 from planner.feedback.identify_moves import (
@@ -48,7 +48,7 @@ from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 
 BY = "identify"  # whose files a folder of results lists
-DIFFERS = 0.02  # share by which a limit is another than that of the file, in words
+UNEXPLAINED = 3.0  # times the noise at rest, from which it is said that profiles leave more
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -245,6 +245,11 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
                 out.append(
                     f"{name}: moves differ, {what} {found.spread[0]:.4g} to {found.spread[1]:.4g}; the least is taken"
                 )
+        if fit.residual > UNEXPLAINED * max(fit.noise, FLOOR):
+            left, unit = (1e3 * fit.residual, "mm") if fit.joint in cell.limits.sliding else (
+                float(np.degrees(fit.residual)), "degrees"
+            )  # fmt: skip
+            out.append(f"{name}: {left:.2g} {unit} are left that no limits explain; at rest it is less")
         if fit.lag > 0.0:
             out.append(f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms")
         if name in problem.cell.limits:

@@ -29,7 +29,6 @@ class JointDelay:
 
     delay, lag   pure delay and time constant of a first-order lag [s], and their standard errors
     total        of both [s]: by so much it is late at a steady speed
-    residual     root mean square of what they leave unexplained [rad, m]
     """
 
     joint: int
@@ -39,7 +38,6 @@ class JointDelay:
     lag_error: float
     total: float
     total_error: float
-    residual: float
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,6 @@ def fit_delay(log: MatchedLog, asked: AskedMoves, joint: int) -> JointDelay | No
         key=lambda each: float(each[2]),
     )
     x, covariance, _ = found
-    count = sum(len(move.time) for move in moves)
     return JointDelay(
         joint=joint,
         delay=float(x[0]),
@@ -84,7 +81,6 @@ def fit_delay(log: MatchedLog, asked: AskedMoves, joint: int) -> JointDelay | No
         lag_error=float(np.sqrt(covariance[1, 1])),
         total=float(x.sum()),
         total_error=float(np.sqrt(max(covariance.sum(), 0.0))),
-        residual=float(np.sqrt(_squares(moves, float(x[0]), float(x[1])) / count)),
     )
 
 

@@ -112,7 +112,7 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> Ro
     if columns is None:
         line, head = rows.pop(0)
         wrong = partial(InputError, file=file, line=line)
-        words = _split(head, separator)
+        words = _split(head, separator, wrong)
         if all(_is_number(word) for word in words):
             raise wrong("a header that names the columns is missing", hint=f"--columns names them: {SPELLINGS}")
     else:
@@ -319,8 +319,13 @@ def _numbers(file: Path, rows: Sequence[tuple[int, str]], separator: str | None,
     return table
 
 
-def _split(line: str, separator: str | None) -> list[str]:
-    return line.split() if separator is None else next(csv.reader([line], delimiter=separator))
+def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
+    if separator is None:
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except csv.Error as error:
+        raise wrong(f"is not CSV: {error}") from None
 
 
 def _is_number(word: str) -> bool:

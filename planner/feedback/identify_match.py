@@ -84,7 +84,7 @@ def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
 def find_rests(time: Array, q: Array, asked: AskedMoves) -> Rests:
     """Stretches of a recording in which all joints q (m, n) [rad, m] stand, those with one posture joined."""
     step = float(np.median(np.diff(time)))
-    count = max(round(SPAN / step), 3)
+    count = min(max(round(SPAN / step), 3), len(q) // 4)
     sums = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(q - q[0], axis=0)])
     means = (sums[count:] - sums[:-count]) / count
     change = np.abs(means[count:] - means[:-count])  # behind and before sample i + count
@@ -176,6 +176,7 @@ def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, re
         noise=noise,
         remarks=(
             *reading.words,
+            f"columns {', '.join(log.told)}",
             f"{last - first + 1} samples, one every {1e3 * log.step:.3g} ms, in lines {log.lines[first]} to {log.lines[last]}",
         ),
     )

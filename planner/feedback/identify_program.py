@@ -265,7 +265,8 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         raise InputError("there is no such file", file=path, hint=f"{hint}; --asked names it") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"{wrong}: {error}", file=path, hint=hint) from error
-    if not found or not all(np.isfinite(column).all() for column in columns.values()):
+    proper = all(np.isfinite(column).all() for column in columns.values())
+    if not found or not proper or (np.abs(columns["controller_sign"]) != 1.0).any():
         raise InputError(f"{wrong}: it has no moves, or places that are no numbers", file=path, hint=hint)
     return AskedMoves(
         problem=str(data["problem"]),

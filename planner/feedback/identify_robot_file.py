@@ -169,8 +169,11 @@ def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
     """What one joint's moves say, in a line."""
     parts = [f"{what} {_limit_words(found)}" for what, found in zip(QUANTITIES, fit.limits, strict=True)]
     if delay is not None:
-        parts.append(f"follows {1e3 * delay.total:.1f} ms late ({1e3 * delay.total_error:.1f} ms)")
-    return ", ".join(parts)
+        parts.append(
+            f"follows {1e3 * delay.total:.1f} ms late: delay {1e3 * delay.delay:.1f} ({1e3 * delay.delay_error:.1f}) ms, "
+            f"lag {1e3 * delay.lag:.1f} ({1e3 * delay.lag_error:.1f}) ms"
+        )
+    return f"{', '.join(parts)}; {fit.moves} moves"
 
 
 def _limit_words(found: Identified) -> str:
