@@ -446,6 +446,19 @@ def test_a_jerk_that_cannot_be_seen_is_not_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("commanded", [False, True])
+def test_an_acceleration_that_the_jerk_never_allows_is_not_told(tmp_path: Path, commanded: bool) -> None:
+    _, cell = cell_of("cylinder_logo")
+    plain, asked = truth_of(cell), asked_of("cylinder_logo", joints=(3,))
+    most = np.sqrt(plain.speed * plain.jerk)  # at the middle of speeding up, where the jerk turns over
+    truth = replace(plain, acceleration=1.3 * most)
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth), commanded)
+    assert not fit.acceleration.told and fit.acceleration.value == pytest.approx(most[3], rel=0.02)
+    assert fit.jerk.value == pytest.approx(truth.jerk[3], rel=0.03)
+    assert fit.speed.value == pytest.approx(truth.speed[3], rel=0.01)
+
+
+@pytest.mark.slow
 def test_limits_that_the_program_had_set_are_told_as_asked(tmp_path: Path) -> None:
     _, cell = cell_of("peer_cap", *UR)
     asked, limits = asked_of("peer_cap", joints=(5,), overrides=UR), cell.limits

@@ -32,6 +32,9 @@ UNEVEN = 0.02  # of the step between samples by which steps may differ before th
 MOST_UNEVEN = 0.02  # s from even samples to their stamps
 STEP = 1e-5  # of a logarithm, for derivatives
 INSTANT = 1e-6  # s, likewise
+CRUISE = 0.05  # share of a move that is at its greatest speed, from which that is a limit
+PLATEAU = 0.15  # of the time in which an acceleration is reached that it is held, likewise
+BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
 MOST_STEPS = 60  # of a search
 FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
@@ -226,6 +229,13 @@ def _solve_all(
     instants = np.array([_half_way(move) for move in moves])
     start = _start(moves, noise, speeds, instants, first_guess)
     plain = _solve(MODELS[0], moves, noise, start, instants)
+    levels = len(shares)
+    tops = [_profile(MODELS[0], plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
+    if not any(_reached(profile)[1] for profile in tops):
+        # an acceleration that no move reaches changes nothing, so the search cannot leave it: begin below what is reached
+        again = plain.shared.copy()
+        again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
+        plain = min(plain, _solve(MODELS[0], moves, noise, again, plain.instants), key=lambda each: each.criterion)
     best, tried = plain, [MODELS[0]]
     while True:
         more = [
@@ -339,8 +349,15 @@ def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Arr
     )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1))
-    covariance = np.linalg.pinv(found.jac.T @ found.jac) * scale
-    return _Solved(model, found.x[:n], found.x[n:], np.sqrt(np.diag(covariance)[:n]), squares, count)
+    return _Solved(model, found.x[:n], found.x[n:], _errors(found.jac, scale)[:n], squares, count)
+
+
+def _errors(jacobian: Array, scale: float) -> Array:
+    """Standard errors of parameters (k) from the derivatives (m, k) of residuals that have a variance."""
+    norms = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    _, sizes, directions = np.linalg.svd(jacobian / norms, full_matrices=False)
+    out: Array = np.sqrt(scale) * np.linalg.norm(directions / np.maximum(sizes, 1e-12)[:, None], axis=0) / norms
+    return out
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -392,9 +409,12 @@ def _told(
 
 
 def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
-    """Whether a move comes to its greatest speed, acceleration, and braking, and stays there for a while."""
-    least = 1e-3 * profile.total
-    return tuple((profile.duration[[3, 1, 5]] > least).tolist())  # type: ignore[return-value]
+    """Whether a move comes to its greatest speed, acceleration, and braking, and stays there for a while.
+
+    At the edge noise decides: a limit just below what is reached without it explains a recording as well.
+    """
+    rising, up, _, cruise, falling, down, _ = profile.duration.tolist()
+    return cruise > CRUISE * profile.total, up > PLATEAU * rising, down > PLATEAU * falling
 
 
 def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> Identified:
@@ -468,5 +488,4 @@ def _solve_one(
         residuals, np.append(start, at), x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
     )
     scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
-    errors: Array = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac) * scale))
-    return limits(found.x), errors[:3], scale
+    return limits(found.x), _errors(found.jac, scale)[:3], scale
