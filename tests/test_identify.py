@@ -470,7 +470,7 @@ def test_limits_that_the_program_had_set_are_told_as_asked(tmp_path: Path) -> No
 # Delays
 
 
-@pytest.mark.parametrize(("delay", "lag"), [(0.033, 0.0), (0.012, 0.02), (0.0, 0.045)])
+@pytest.mark.parametrize(("delay", "lag"), [(0.033, 0.0), (0.012, 0.02), (0.0, 0.045), (0.1, 0.01)])
 def test_delays_are_found_within_a_fraction_of_a_sample(tmp_path: Path, delay: float, lag: float) -> None:
     _, cell = cell_of("cylinder_logo")
     truth = truth_of(cell, delay=delay, lag=lag)
@@ -672,6 +672,15 @@ def test_commands_that_rest_elsewhere_are_refused(tmp_path: Path) -> None:
     off = replace(recording, commanded=recording.commanded + np.radians(5.0))
     file = write_recording(tmp_path / "run.csv", off, header(cell, commanded=True), commanded=True)
     with pytest.raises(InputError, match=r"commanded and executed joints rest up to 5.* degrees apart"):
+        match(read_log(file, cell), asked)
+
+
+def test_commands_long_before_the_motion_are_refused(tmp_path: Path) -> None:
+    asked, recording = sample()
+    _, cell = cell_of("cylinder_logo")
+    early = replace(recording, commanded=np.roll(recording.commanded, -75, axis=0))
+    file = write_recording(tmp_path / "run.csv", early, header(cell, commanded=True), commanded=True)
+    with pytest.raises(InputError, match=r"commands begin to move more than|commanded and executed joints rest"):
         match(read_log(file, cell), asked)
 
 

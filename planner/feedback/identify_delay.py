@@ -16,7 +16,7 @@ from planner.feedback.identify_match import MatchedLog
 from planner.feedback.identify_moves import AskedMoves
 
 GRID = 0.5e-3  # s at which commands are filtered: a fraction of any controller's cycle
-LONGEST = 0.4  # s of delay that is looked for
+LONGEST = 0.25  # s of delay that is looked for; longer ones reach into the rest before
 EARLIEST = -0.02  # s: stamps of the two may be taken at other instants of a cycle
 FIRST = np.arange(EARLIEST, LONGEST, 4e-3)  # s at which the search may begin
 FIRST_LAGS = (1e-3, 0.01, 0.03)  # s, likewise

@@ -23,19 +23,8 @@ LEAST_SAMPLES = 50
 COMMANDED = {"target", "cmd", "command", "commanded", "desired", "reference", "ref", "setpoint", "planned", "goal"}
 EXECUTED = {"actual", "act", "executed", "measured", "meas", "feedback", "fb", "state", "states", "real", "msr"}
 FILLING = {
-    "position",
-    "positions",
-    "pos",
-    "angle",
-    "angles",
-    "value",
-    "values",
-    "robot",
-    "field",
-    "data",
-    "msg",
-    "name",
-}
+    "position", "positions", "pos", "angle", "angles", "value", "values", "robot", "field", "data", "msg", "name",
+}  # fmt: skip
 OTHER = {
     "velocity", "velocities", "vel", "qd", "qdd", "speed", "current", "torque", "effort", "acceleration", "acc", "moment",
     "temperature", "temp", "voltage", "jerk", "error", "err", "dq", "ddq", "tau", "pose", "tcp", "force", "output", "mode",

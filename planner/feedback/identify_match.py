@@ -14,6 +14,7 @@ from planner.feedback.identify_moves import AskedMoves
 
 SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
 LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
+QUIET = (0.4, 0.7)  # of a rest, between which it is quiet
 STILL = (np.radians(0.02), 5e-5)  # by which averages differ at most where a joint stands [rad, m]
 SIGMAS = 6.0  # of noise that are no motion
 SAME = (np.radians(0.1), 0.4e-3)  # from where it was asked to rest; servos leave less [rad, m]
@@ -21,6 +22,7 @@ STRAY = (np.radians(0.3), 1e-3)  # by which joints may move that were not asked 
 SLOWEST = 0.0125  # s between samples: a short move takes some 80 ms
 GAP = 5.0  # median steps: a longer one is a gap
 COMMANDED_OFF = (np.radians(1.0), 3e-3)  # from where joints were told to rest to where they do [rad, m]
+COMMANDED_STILL = (np.radians(0.1), 3e-4)  # by which commands change at most while joints rest [rad, m]
 DEGREE = np.pi / 180.0
 
 
@@ -116,9 +118,9 @@ def _runs(flags: Flags) -> Ints:
 
 
 def _middle(first: int, last: int) -> slice:
-    """The quiet part of a rest: what settles at its beginning is left out."""
+    """The quiet part of a rest: what settles at its beginning is left out, and commands that come before the motion."""
     length = int(last) - int(first)
-    return slice(int(first) + length // 2, int(last) - length // 10 + 1)
+    return slice(int(first) + int(QUIET[0] * length), int(first) + int(QUIET[1] * length) + 1)
 
 
 def _noise(q: Array) -> Array:
@@ -226,6 +228,11 @@ def _commanded(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, 
             f"{asked.joint_names[worst]}: another unit, order or clock"
         )
         raise InputError(reason, file=log.file)
+    moving = np.array([np.ptp(told[each], axis=0) for each in middles]) > _tolerances(asked, COMMANDED_STILL)
+    if moving.any():
+        k = int(np.argmax(moving.any(axis=1)))
+        reason = "commands begin to move more than some 0.15 s before the joints do, or their clock is another"
+        raise InputError(reason, file=log.file, line=int(log.lines[middles[k].start]))
     return np.asarray(told)
 
 
