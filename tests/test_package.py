@@ -164,13 +164,17 @@ print(len(said), len(done) > 0)
     assert told == [["1", "True"], ["0", "False"]]
 
 
-def test_a_shell_completes_commands_options_examples_and_robots() -> None:
+@pytest.mark.parametrize("called", ["beadwise", "python"])
+def test_a_shell_completes_commands_options_examples_and_robots(called: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", [called])
     text = script("bash")
     assert "peer_cap" in text and "irb140" in text and "--strategy" in text
     completes = f"""{text}
 COMP_WORDS=(beadwise solve peer_c); COMP_CWORD=2; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
 COMP_WORDS=(beadwise ro); COMP_CWORD=1; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
+COMP_WORDS=(beadwise identify wr); COMP_CWORD=2; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
+COMP_WORDS=(beadwise identify write peer_c); COMP_CWORD=3; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
 """
     ran = subprocess.run(["bash", "-c", completes], capture_output=True, text=True, check=True)
-    assert ran.stdout.splitlines() == ["peer_cap peer_cylinder", "robots"]
+    assert ran.stdout.splitlines() == ["peer_cap peer_cylinder", "robots", "write", "peer_cap peer_cylinder"]
     assert robot_names() and "compadd" in script("zsh")

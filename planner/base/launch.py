@@ -37,6 +37,9 @@ COMMANDS = {
     ),
     "place": CommandModule("planner.place.command", "search for the place from which a part is printed best"),
     "register": CommandModule("planner.register.command", "find where the part really is, from touched places"),
+    "identify": CommandModule(
+        "planner.feedback.identify_command", "find limits and delays of a robot in the recording of a test program"
+    ),
     "scan": CommandModule("planner.feedback.scan_command", "the rest of a print, laid on what a scan finds of it"),
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),

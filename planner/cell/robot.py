@@ -43,6 +43,7 @@ class Robot:
     bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
              the URDF has no collision shapes
     looks    meshes that its links show, in the same way; empty where the URDF shows none
+    measured what of its limits was measured, and from what, in words; empty where nothing was
     """
 
     key: str
@@ -56,6 +57,7 @@ class Robot:
     language: str
     bodies: tuple[tuple[Body, ...], ...]
     looks: tuple[tuple[Look, ...], ...]
+    measured: str = ""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -133,6 +135,7 @@ def read_robot(path: Path) -> Robot:
         language=_language(file),
         bodies=read_bodies(urdf, model, rules),
         looks=read_looks(urdf, model, rules),
+        measured=file.text("measured") if "measured" in file.data else "",
     )
 
 

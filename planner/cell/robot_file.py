@@ -117,6 +117,12 @@ KEYS = {
     "assumed": RobotKey(
         "what of this file nobody has published; listings and the checks say so", "[jerk_rad_s3]", "nothing", _NAMES
     ),
+    "measured": RobotKey(
+        "which of this file's limits were measured, and from what; listings say so",
+        "acceleration_rad_s2 of joint_1 from run.csv",
+        "nothing",
+        _TEXT,
+    ),
     "spherical_wrist": RobotKey(
         "of an arm whose last three axes meet, counted from upper arm upright and forearm level: its seven lengths [mm], as "
         "Brandstötter et al. name them (OPW), held against the URDF; in place of inverse_kinematics",

@@ -125,6 +125,8 @@ def details(path: Path, robot: Robot) -> list[Table | str]:
     facts = [f"{robot.name} ({robot.key})", *_facts(robot)[1:], f"URDF: {_source(path)}", f"tip: {robot.tip}"]
     if robot.assumed:
         facts.append(f"* assumed: {', '.join(robot.assumed)}")
+    if robot.measured:
+        facts.append(f"measured: {robot.measured}")
     return ["\n".join(facts), joints, *([bodies] if any(robot.bodies) else [])]
 
 

@@ -18,7 +18,7 @@ from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond, require_writable
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from planner.plan import Plan
 
@@ -176,7 +176,11 @@ def switches_name(plan: Plan) -> str:
 def joint_trajectory(plan: Plan) -> str:
     """JSON of the message, a line for each point. ValueError if the plan is not verified: the caller's mistake."""
     require_writable(plan)
-    knots = plan_knots(plan)
+    return message(plan.cell.joint_names, plan_knots(plan))
+
+
+def message(joint_names: Sequence[str], knots: SplineKnots) -> str:
+    """JSON of the message with these points, a line for each."""
     columns = zip(
         np.round(knots.q, DECIMALS["positions"]).tolist(),
         np.round(knots.velocity, DECIMALS["velocities"]).tolist(),
@@ -198,8 +202,11 @@ def joint_trajectory(plan: Plan) -> str:
     ]
     # a stamp of nought: start at once, as soon as the message comes
     head = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}
-    names = list(plan.cell.joint_names)
-    return f'{{"header":{_line(head)},\n"joint_names":{_line(names)},\n"points":[\n' + ",\n".join(points) + "\n]}\n"
+    return (
+        f'{{"header":{_line(head)},\n"joint_names":{_line(list(joint_names))},\n"points":[\n'
+        + ",\n".join(points)
+        + "\n]}\n"
+    )
 
 
 def write(plan: Plan) -> dict[str, str]:

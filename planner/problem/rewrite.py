@@ -1,4 +1,4 @@
-"""A problem file with some of its values changed, every other character as it was, for another folder if need be."""
+"""A problem or robot file with some of its values changed, every other character as it was, for another folder if need be."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planner.base.signals import interruptions_held
 from planner.problem.problem import Problem
 from planner.problem.yaml_file import Keys, parse_yaml
 
-Value = float | list[float] | str
+Value = float | list[float] | list[str] | str
 
 
 def write_changed(problem: Problem, changes: Mapping[str, Value], target: Path) -> None:
@@ -51,6 +51,11 @@ def changed_text(problem: Problem, changes: Mapping[str, Value], folder: Path) -
                 given = Path(str(node.value))
                 if not given.is_absolute() and problem.file.parent / given == path:  # not one that --set gave
                     text = _with(text, keys, Path(os.path.relpath(path.resolve(), there)).as_posix())
+    return with_values(text, changes)
+
+
+def with_values(text: str, changes: Mapping[str, Value]) -> str:
+    """The text of a YAML mapping with fields (dotted) set to values, every other character as it was; new ones come first."""
     for field, value in changes.items():
         text = _with(text, tuple(field.split(".")), value)
     return text

@@ -50,11 +50,20 @@ def script(shell: str) -> str:
     """The script for one of SHELLS."""
     whole = argparse.ArgumentParser(prog="beadwise")
     below = whole.add_subparsers()
-    for parser in commands():
-        name = parser.prog.rpartition(".")[2]
+    made = {parser.prog.rpartition(".")[2].removeprefix("beadwise "): parser for parser in commands()}
+    actions: dict[str, Any] = {}  # of commands that are nothing without a further word
+    for name, parser in made.items():
+        first, _, action = name.partition(" ")
         if name in COMMANDS:
             one = below.add_parser(name, help=COMMANDS[name].does, add_help=False, parents=[_completed(parser)])
-            one.description = None
+        elif first in COMMANDS and first not in made:
+            if first not in actions:
+                actions[first] = below.add_parser(first, help=COMMANDS[first].does).add_subparsers()
+            told = parser.description
+            one = actions[first].add_parser(action, help=told, add_help=False, parents=[_completed(parser)])
+        else:
+            continue
+        one.description = None
     words = {name: " ".join(known()) for name, known in NAMED.items()}
     preamble: Any = {
         "bash": "\n".join(f"_beadwise_{n}() {{ compgen -W '{w}' -- $1; compgen -f -- $1; }}" for n, w in words.items()),
@@ -69,6 +78,6 @@ def _completed(parser: Command) -> Command:
         if action.dest in NAMED:
             own = f"_beadwise_{action.dest}"
             action.complete = {"bash": own, "zsh": own, "tcsh": "f"}  # type: ignore[attr-defined]
-        elif action.dest in ("out", "folder", "contacts", "file", "program"):
+        elif action.dest in ("out", "folder", "contacts", "file", "program", "log", "asked"):
             action.complete = shtab.FILE  # type: ignore[attr-defined]
     return parser

@@ -125,7 +125,8 @@ def header(plan: Plan) -> list[str]:
     return [comment(text) for text in texts]
 
 
-def _pose(T: Array) -> str:
+def pose_text(T: Array) -> str:
+    """A pose (4, 4) as RAPID has it: mm, quaternion w first."""
     p = ",".join(number(v, 3) for v in T[:3, 3] * 1e3)
     x, y, z, w = from_matrix(T[None, :3, :3])[0]
     return f"[[{p}],[{','.join(number(v, 7) for v in (w, x, y, z))}]]"
@@ -136,26 +137,26 @@ def frames(plan: Plan) -> list[str]:
     names, cell = plan.problem.program, plan.cell
     lines = [
         comment("The load below is a placeholder: identify it on the robot before the first run."),
-        f"    PERS tooldata {names.tool}:=[TRUE,{_pose(cell.T_flange_nozzle)},{TOOL_LOAD}];",
+        f"    PERS tooldata {names.tool}:=[TRUE,{pose_text(cell.T_flange_nozzle)},{TOOL_LOAD}];",
         comment("Poses in the world that the controller's configuration must have. The robot's base:"),
-        comment("  " + _pose(cell.T_world_base)),
+        comment("  " + pose_text(cell.T_world_base)),
     ]
-    identity, on_plate = _pose(np.eye(4)), _pose(cell.T_plate_part)
+    identity, on_plate = pose_text(np.eye(4)), pose_text(cell.T_plate_part)
     letters = [f"eax_{letter} {axis.words}" for letter, axis in zip("abcdef", external_axes(cell), strict=False)]
     if before := letters[: len(carrying_axes(cell))]:
         lines[-2] = comment("Poses in the world that the controller's configuration must have. The base of the track,")
         lines[-1:] = [
             comment("a mechanical unit that carries the robot and is active:"),
-            comment("  " + _pose(cell.T_world_base)),
+            comment("  " + pose_text(cell.T_world_base)),
             comment(f"Its axes: {', '.join(before)}."),
         ]
     if cell.holder_robot is None:
-        frames = f'TRUE,"",{_pose(cell.T_world_holder)},{identity}'
+        frames = f'TRUE,"",{pose_text(cell.T_world_holder)},{identity}'
     else:
         axes = letters[len(before) :]
         lines += [
             comment(f"The base of station {names.station}:"),
-            comment("  " + _pose(cell.T_world_holder_base)),
+            comment("  " + pose_text(cell.T_world_holder_base)),
             comment(f"Its axes: {', '.join(axes[:3])}."),
             *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
             comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),

@@ -1,0 +1,179 @@
+"""How well limits and delays are identified: robots with known limits, recorded with noise, at several rates.
+
+python -m benchmarks.identify [--seeds 2] [--quick]
+
+Each robot moves as its test program asks, its true limits drawn anew for each seed: speed 0.7 to 1 of its file's,
+acceleration 0.5 to 1.5, jerk 0.25 to 0.8, servo lag and delay as named. `worst` is over all joints and seeds, of limits
+that are told; `not told` counts those that the recording does not show, such as a speed that is not reached.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.recordings import TrueRobot, recorded, write_recording
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import NOTHING
+from planner.feedback.identify_delay import fit_delay
+from planner.feedback.identify_fit import QUANTITIES, fit_joints
+from planner.feedback.identify_log import read_log
+from planner.feedback.identify_match import match
+from planner.feedback.identify_moves import AskedMoves, asked_moves, free_spaces, greatest_lengths
+from planner.feedback.identify_program import counting
+from planner.problem import load_problem
+
+COLUMNS = ("robot", "samples/s", "noise °", "recorded", *(f"{what}: median, worst %" for what in QUANTITIES), "not told",
+           "delay and lag: worst ms")  # fmt: skip
+UR = ("cell.arm=ur10e", "cell.limits={}", "cell.home_deg=[0, -90, 90, -90, -90, 0]")
+
+
+@dataclass(frozen=True)
+class IdentifyCase:
+    """A robot, how it is recorded, and whether commands are in the recording.
+
+    lag, delay [s] of the servo;  braking: share of the acceleration;  jitter [s]: by which stamps are late, evenly spread
+    """
+
+    title: str
+    problem: str
+    overrides: tuple[str, ...]
+    rate: float
+    noise_deg: float
+    commands: bool = False
+    lag: float = 0.0
+    delay: float = 0.0
+    braking: float = 1.0
+    jitter: float = 0.0
+
+
+LOGO = ("cylinder_logo", ())
+CASES = (
+    IdentifyCase("IRB 140 and A250", *LOGO, 250.0, 0.01),
+    IdentifyCase("IRB 140 and A250", *LOGO, 125.0, 0.01),
+    IdentifyCase("IRB 140 and A250", *LOGO, 500.0, 0.01),
+    IdentifyCase("the same, noisier", *LOGO, 250.0, 0.03),
+    IdentifyCase("the same, braking at 0.7", *LOGO, 250.0, 0.01, braking=0.7),
+    IdentifyCase("the same, lagging by 20 ms", *LOGO, 250.0, 0.01, lag=0.02),
+    IdentifyCase("the same, stamps late by up to 4 ms", *LOGO, 125.0, 0.01, jitter=4e-3),
+    IdentifyCase("the same, with its commands", *LOGO, 250.0, 0.01, commands=True, lag=0.015, delay=0.033),
+    IdentifyCase("UR10e", "peer_cap", UR, 500.0, 0.01, commands=True, lag=0.004, delay=0.006),
+    IdentifyCase("UR10e", "peer_cap", UR, 125.0, 0.01),
+    IdentifyCase("IRB 6640", "peer_cap", ("cell.arm=irb6640", "cell.limits={}"), 250.0, 0.01, lag=0.01),
+)
+
+
+@dataclass(frozen=True)
+class CaseErrors:
+    """Relative errors of what is told by quantity (3 lists), how many limits are not told, errors of delays [s]."""
+
+    limits: tuple[list[float], list[float], list[float]]
+    untold: int
+    delays: list[float]
+
+
+def truth_of(cell: Cell, case: IdentifyCase, seed: int) -> TrueRobot:
+    """A robot of a case's cell, drawn anew for each seed."""
+    random, limits, n = np.random.default_rng(seed), cell.limits, len(cell.joint_names)
+    acceleration = limits.acceleration * random.uniform(0.5, 1.5, n)
+    return TrueRobot(
+        limits.velocity * random.uniform(0.7, 1.0, n),
+        acceleration,
+        limits.jerk * random.uniform(0.25, 0.8, n),
+        None if case.braking == 1.0 else case.braking * acceleration,
+        case.delay,
+        case.lag,
+    )
+
+
+def asked_of(case: IdentifyCase) -> tuple[Cell, AskedMoves]:
+    """The cell of a case, and the moves of its test program in an empty room."""
+    problem = load_problem(case.problem, case.overrides)
+    cell = build_cell(problem)
+    spaces = free_spaces(cell, NOTHING, cell.home, greatest_lengths(cell, None))
+    # controllers that make the profile themselves: what they are told does not hide what they can do
+    return cell, asked_moves(problem, cell, cell.home, spaces, counting(cell, "rapid"))
+
+
+def measure(case: IdentifyCase, seeds: int, folder: Path) -> CaseErrors:
+    """Errors of a case over seeds."""
+    cell, asked = asked_of(case)
+    found = CaseErrors(([], [], []), 0, [])
+    untold = 0
+    names = [f"{name}_deg" for name in cell.joint_names]
+    head = ["t_s", *names, *([f"target_{name}" for name in names] if case.commands else [])]
+    for seed in range(seeds):
+        truth = truth_of(cell, case, seed)
+        made = recorded(asked, truth, case.rate, np.radians(case.noise_deg), seed)
+        if case.jitter:
+            late = np.random.default_rng(seed).uniform(0.0, case.jitter, len(made.time))
+            made = type(made)(made.time + late, made.executed, made.commanded)
+        file = write_recording(folder / "run.csv", made, head, commanded=case.commands)
+        limits = cell.limits
+        log, fits = fit_joints(
+            match(read_log(file, cell), asked), asked, (limits.velocity, limits.acceleration, limits.jerk)
+        )
+        slower = min(1.0, case.braking)
+        for fit in fits:
+            true = (truth.speed, slower * truth.acceleration, truth.jerk)
+            for errors, limit, values in zip(found.limits, fit.limits, true, strict=True):
+                if limit.told:
+                    errors.append(limit.value / float(values[fit.joint]) - 1.0)
+                untold += not limit.told
+            delay = fit_delay(log, asked, fit.joint)
+            if delay is not None:
+                found.delays.extend(
+                    [delay.delay - truth.delay, delay.lag - truth.lag, delay.total - truth.delay - truth.lag]
+                )
+    return CaseErrors(found.limits, untold, found.delays)
+
+
+def row_of(case: IdentifyCase, errors: CaseErrors) -> list[str]:
+    """A row of the table."""
+    words = []
+    for each in errors.limits:
+        size = 100.0 * np.abs(np.array(each))
+        words.append(f"{np.median(size):.2f}, {size.max():.2f}" if len(size) else "")
+    told = sum(map(len, errors.limits))
+    delay = f"{1e3 * np.abs(errors.delays).max():.2f}" if errors.delays else ""
+    what = "executed and commanded" if case.commands else "executed"
+    return [
+        case.title,
+        f"{case.rate:g}",
+        f"{case.noise_deg:g}",
+        what,
+        *words,
+        f"{errors.untold} of {told + errors.untold}",
+        delay,
+    ]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code: 1 where a limit is 10 % off, or a delay 4 ms."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.identify", description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=2, help="robots for each case (default 2)")
+    parser.add_argument("--quick", action="store_true", help="the first case alone")
+    options = parser.parse_args(arguments)
+    table = Table(*COLUMNS)
+    good = True
+    with tempfile.TemporaryDirectory() as folder:
+        for case in CASES[:1] if options.quick else CASES:
+            errors = measure(case, options.seeds, Path(folder))
+            table.add_row(*row_of(case, errors))
+            good &= all(abs(error) < 0.1 for each in errors.limits for error in each)
+            good &= all(abs(error) < 4e-3 for error in errors.delays)
+            print(f"{case.title}, {case.rate:g}/s: done", file=sys.stderr)
+    Console(width=200).print(table)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,105 @@
+"""Recordings as a robot with known limits would make them: jerk-limited moves by ruckig, lag, delay, noise, other clocks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import ruckig
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from planner.feedback.identify_moves import AskedMoves
+
+Array = NDArray[np.float64]
+
+FINE = 0.5e-3  # s at which ruckig's motion is looked at
+AFTER = 0.3  # s recorded behind the last rest
+
+
+@dataclass(frozen=True)
+class TrueRobot:
+    """What a simulated robot really does, for each joint (n): limits [rad, s], those of braking if they are others.
+
+    delay, lag   pure delay, and time constant of the servo [s]
+    """
+
+    speed: Array
+    acceleration: Array
+    jerk: Array
+    braking: Array | None = None
+    delay: float = 0.0
+    lag: float = 0.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded (m samples): time [s], executed and commanded joints (m, n) [rad, m]."""
+
+    time: Array
+    executed: Array
+    commanded: Array
+    names: tuple[str, ...] = field(default=())
+
+
+def commands(asked: AskedMoves, truth: TrueRobot) -> tuple[Array, Array]:
+    """Time (m) [s] and commanded joints (m, n) [rad, m] of the whole program, every FINE."""
+    n, rests = len(asked.start), asked.rests
+    parts, q = [np.tile(asked.start, (round(rests[0] / FINE), 1))], asked.start.copy()
+    for move, rest in zip(asked.moves, rests[1:], strict=True):
+        way = _moved(move.start, move.end, move.share, truth, move.joint)
+        rows = np.tile(q, (len(way) + round(rest / FINE), 1))
+        q[move.joint] = move.end
+        rows[: len(way), move.joint], rows[len(way) :, move.joint] = way, move.end
+        parts.append(rows)
+    joints = np.concatenate([*parts, np.tile(q, (round(AFTER / FINE), 1))])
+    if joints.shape[1] != n:
+        raise ValueError("another number of joints")
+    return FINE * np.arange(len(joints)), joints
+
+
+def _moved(start: float, end: float, share: float, truth: TrueRobot, j: int) -> Array:
+    """Places (m) of one joint on its way, every FINE."""
+    given = ruckig.InputParameter(1)
+    given.current_position, given.target_position = [start], [end]
+    given.max_velocity, given.max_jerk = [share * float(truth.speed[j])], [float(truth.jerk[j])]
+    given.max_acceleration = [float(truth.acceleration[j])]
+    if truth.braking is not None:
+        # ruckig's least acceleration is that of braking upwards, and of speeding up downwards
+        up = end > start
+        braking = [float(truth.braking[j])]
+        given.max_acceleration, given.min_acceleration = (
+            (given.max_acceleration, [-braking[0]]) if up else (braking, [-float(truth.acceleration[j])])
+        )
+    found = ruckig.Trajectory(1)
+    ruckig.Ruckig(1).calculate(given, found)
+    return np.array([found.at_time(t)[0][0] for t in np.arange(0.0, found.duration, FINE)])
+
+
+def recorded(
+    asked: AskedMoves, truth: TrueRobot, rate: float = 250.0, noise: float = np.radians(0.01), seed: int = 1
+) -> Recording:
+    """What an interface records `rate` times a second, with noise of executed places (standard deviation) [rad, m]."""
+    fine, told = commands(asked, truth)
+    done = told
+    if truth.lag > 0.0:
+        fading = np.exp(-FINE / truth.lag)
+        first = 1.0 - truth.lag / FINE * (1.0 - fading)
+        done = told[0] + lfilter([first, 1.0 - fading - first], [1.0, -fading], told - told[0], axis=0)
+    time = np.arange(0.0, fine[-1], 1.0 / rate)
+    random = np.random.default_rng(seed)
+    executed = np.column_stack([np.interp(time - truth.delay, fine, column) for column in done.T])
+    commanded = np.column_stack([np.interp(time, fine, column) for column in told.T])
+    return Recording(time, executed + random.normal(0.0, 1.0, executed.shape) * noise, commanded, asked.joint_names)
+
+
+def write_recording(
+    path: Path, recording: Recording, head: Sequence[str], scale: float = np.degrees(1.0), commanded: bool = False
+) -> Path:
+    """A CSV file: time, executed joints, commanded ones too if asked for; scale: from rad to its unit."""
+    columns = [recording.executed * scale, *([recording.commanded * scale] if commanded else [])]
+    table = np.column_stack([recording.time, *columns])
+    np.savetxt(path, table, fmt="%.7f", delimiter=",", header=",".join(head), comments="")
+    return path

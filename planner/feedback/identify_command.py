@@ -1,0 +1,303 @@
+"""`beadwise identify write` makes a program that shows a robot's limits, `beadwise identify read` finds them in its recording.
+
+python -m planner.feedback.identify write cylinder_logo
+python -m planner.feedback.identify read run.csv cylinder_logo
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.command_line import Command, exit_code, one_of
+from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, nearest_name
+from planner.base.results import results_folder
+from planner.cell.cell import Cell, build_cell
+from planner.collision.scene import obstacles_of
+from planner.feedback.identify_delay import JointDelay, fit_delay
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointFit, fit_joints
+from planner.feedback.identify_log import read_log
+from planner.feedback.identify_match import match
+from planner.feedback.identify_moves import (
+    AskedMoves,
+    FreeSpace,
+    asked_moves,
+    free_spaces,
+    greatest_lengths,
+    moves_enough,
+    start_posture,
+)
+from planner.feedback.identify_profile import move_profile
+from planner.feedback.identify_program import (
+    TEST_LANGUAGES,
+    asked_limits,
+    asked_name,
+    asked_text,
+    counting,
+    language_of,
+    program_files,
+    read_asked,
+)
+from planner.feedback.identify_robot_file import check_targets, robots_of, usable, write_measured
+from planner.problem import Problem, load_problem
+from planner.toolpath.build import build_toolpath
+
+BY = "identify"  # whose files a folder of results lists
+UNEXPLAINED = 3.0  # times the noise at rest, from which it is said that profiles leave more
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    say = partial(print, file=sys.stderr)
+    actions: dict[str, tuple[Callable[[], Command], Callable[[argparse.Namespace], int]]] = {
+        "write": (identify_write_command, _write),
+        "read": (identify_read_command, _read),
+    }
+    if given[:1] and given[0] in actions:
+        parser, run = actions[given[0]]
+        options = parser().parse_args(given[1:])
+        return exit_code(lambda: run(options), say)
+    helps = bool(given) and given[0] in ("-h", "--help")
+    words = "\n".join(f"  {name:<6} {make().description}" for name, (make, _) in actions.items())
+    if helps:
+        print(f"usage: beadwise identify write|read …\n\n{words}\n\nbeadwise identify write --help tells more.")
+        return EXIT_VERIFIED
+    near = nearest_name(given[0], actions) if given else None
+    hint = f" (did you mean {near}?)" if near else ""
+    say(f"error: say whether to write a test program, or to read its recording{hint}\n{words}")
+    return EXIT_INPUT
+
+
+# ----------------------------------------------------------------------------------------------------
+# Writing a test program.
+
+
+def identify_write_command() -> Command:
+    """The parser of `python -m planner.feedback.identify write`."""
+    parser = Command(
+        "feedback.identify write",
+        "Write a program that moves each joint alone, within the space that is free, so that a recording shows its limits.",
+        {
+            "cylinder_logo": "around home; results in out/cylinder_logo_identify",
+            'my_part.yaml --start "0, -40, 40, 0, 30, 0" --most 60': "around another posture, each joint by 60 degrees",
+            "my_part.yaml --language joint_trajectory": "as a message of ROS",
+        },
+        {0: "written", 2: "wrong input, or a start posture that is not clear; nothing written", 130: "interrupted"},
+    )
+    _add_cell(parser)
+    parser.add_argument(
+        "--language",
+        type=one_of(TEST_LANGUAGES),
+        metavar="NAME",
+        help=f"instead of the controller's own: {', '.join(TEST_LANGUAGES)}",
+    )
+    parser.add_argument(
+        "--start",
+        type=_values,
+        metavar="VALUES",
+        help="posture around which joints move, one value for each in degrees, or mm where it slides (default: home)",
+    )
+    parser.add_argument(
+        "--most",
+        type=_lengths,
+        metavar="VALUES",
+        help="how far each joint may go, one value for all or one for each (default: 180 degrees, 1000 mm)",
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_identify")
+    return parser
+
+
+def _write(options: argparse.Namespace) -> int:
+    problem = load_problem(options.problem)
+    cell = build_cell(problem)
+    controlled = counting(cell, language_of(problem, cell, options.language))
+    start, most = start_posture(cell, options.start), greatest_lengths(cell, options.most)
+    target = options.out or Path("out") / f"{problem.name}_identify"
+    with results_folder(target, BY) as fresh:
+        spaces = free_spaces(cell, obstacles_of(problem, cell, build_toolpath(problem)), start, most)
+        asked = asked_moves(problem, cell, start, spaces, controlled)
+        files = program_files(cell, asked, problem.program.station)
+        files[asked_name(problem.name)] = asked_text(asked)
+        for name, text in files.items():
+            (fresh / name).write_text(text, encoding="utf-8", newline="\n")
+    print("\n".join([*_space_lines(cell, asked, spaces), *(str(target / name) for name in files)]))
+    return EXIT_VERIFIED
+
+
+def _space_lines(cell: Cell, asked: AskedMoves, spaces: Sequence[FreeSpace]) -> list[str]:
+    out = [f"{'joint':<14} {'from':>9} {'to':>9}        moves  ends"]
+    for j, (name, space) in enumerate(zip(cell.joint_names, spaces, strict=True)):
+        unit, scale = ("mm", 1e3) if j in asked.sliding else ("deg", float(np.degrees(1.0)))
+        count = sum(move.joint == j for move in asked.moves)
+        ends = "; ".join(dict.fromkeys(space.bounds))
+        ends = ends if moves_enough(cell, j, space) else f"left out, too little space: {ends}"
+        out.append(f"{name:<14} {space.low * scale:>9.1f} {space.high * scale:>9.1f} {unit:<4} {count:>8}  {ends}")
+    duration = asked.rests.sum() + sum(
+        move_profile(abs(move.end - move.start), asked_limits(asked, cell, move)).total for move in asked.moves
+    )
+    return [*out, f"{len(asked.moves)} moves, some {duration / 60:.1f} min by the limits of the robots' files"]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Reading its recording.
+
+
+def identify_read_command() -> Command:
+    """The parser of `python -m planner.feedback.identify read`."""
+    parser = Command(
+        "feedback.identify read",
+        "Find limits of speed, acceleration and jerk, and the controller's delay, in the recording of a test program, and "
+        "write them into copies of the robots' files.",
+        {
+            "run.csv cylinder_logo": "writes irb140_measured.yaml and irbp_a250_measured.yaml here",
+            'run.csv my_part.yaml --columns "t_ms, J1_deg, J2_deg, J3_deg, J4_deg, J5_deg, J6_deg"': "a file without a header",
+        },
+        {
+            0: "limits found and written",
+            2: "wrong input, or a recording of something else; nothing written",
+            3: "the recording tells no limit; nothing written",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument("log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, see the page")
+    _add_cell(parser)
+    parser.add_argument(
+        "--asked",
+        type=Path,
+        metavar="FILE",
+        help="what the program asked (default: <problem>_asked.json beside LOG, or in out/<problem>_identify)",
+    )
+    parser.add_argument(
+        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
+    )
+    parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder of the copies (default: here)")
+    return parser
+
+
+def _read(options: argparse.Namespace) -> int:
+    problem = load_problem(options.problem)
+    cell = build_cell(problem)
+    robots = robots_of(problem, cell)
+    check_targets(robots, options.out)
+    asked = read_asked(_asked_path(options, problem), problem, cell)
+    log = match(read_log(options.log, cell, options.columns), asked)
+    limits = cell.limits
+    log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
+    delays = {fit.joint: delay for fit in fits if (delay := fit_delay(log, asked, fit.joint)) is not None}
+    print(
+        "\n".join([*log.remarks, *_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays)])
+    )
+    if not any(usable(found) for fit in fits for found in fit.limits):
+        print("no limit is told that is not in the robots' files: nothing written")
+        return EXIT_NOT_VERIFIED
+    written = write_measured(robots, fits, delays, options.log, options.out)
+    print("\n".join([*map(str, written), "name them in the problem: cell.arm, cell.positioner.robot, cell.base.robot"]))
+    return EXIT_VERIFIED
+
+
+def _asked_path(options: argparse.Namespace, problem: Problem) -> Path:
+    if options.asked is not None:
+        return Path(options.asked)
+    name = asked_name(problem.name)
+    beside = options.log.parent / name
+    return beside if beside.is_file() else Path("out") / f"{problem.name}_identify" / name
+
+
+def _limit_lines(cell: Cell, fits: Sequence[JointFit]) -> list[str]:
+    """A table: joint, and each limit with its standard error beside the file's."""
+    limits = cell.limits
+    heads = [f"{what} [{unit}]" for what, unit in zip(QUANTITIES, ("rad/s", "rad/s²", "rad/s³"), strict=True)]
+    if limits.sliding:
+        heads = [f"{head[:-1]}; m if it slides]" for head in heads]
+    out = [f"{'joint':<14} " + " ".join(f"{head:<34}" for head in heads).rstrip()]
+    for fit in fits:
+        files = (limits.velocity[fit.joint], limits.acceleration[fit.joint], limits.jerk[fit.joint])
+        cells = [f"{_found_words(found, float(file)):<34}" for found, file in zip(fit.limits, files, strict=True)]
+        out.append(f"{cell.joint_names[fit.joint]:<14} " + " ".join(cells).rstrip())
+    return out
+
+
+def _found_words(found: Identified, file: float) -> str:
+    known = f"(file {file:.4g})"
+    if not found.told:
+        return f"at least {found.value:.3g} {known}"
+    error = f"{found.value:.4g} ±{100.0 * found.error / found.value:.1f} %"
+    return f"{error}, as asked" if found.as_asked else f"{error} {known}"
+
+
+def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[str]:
+    out = []
+    for fit in fits:
+        name = cell.joint_names[fit.joint]
+        if fit.braking is not None:
+            out.append(
+                f"{name} brakes otherwise than it speeds up, by {fit.braking[0]:.4g} with a jerk of {fit.braking[1]:.4g}: "
+                "the lesser are taken"
+            )
+        for what, found in zip(QUANTITIES, fit.limits, strict=True):
+            if found.spread[1] > found.spread[0]:
+                out.append(
+                    f"{name}: moves differ, {what} {found.spread[0]:.4g} to {found.spread[1]:.4g}; the least is taken"
+                )
+        if fit.residual > UNEXPLAINED * max(fit.noise, FLOOR):
+            left, unit = (1e3 * fit.residual, "mm") if fit.joint in cell.limits.sliding else (
+                float(np.degrees(fit.residual)), "degrees"
+            )  # fmt: skip
+            out.append(f"{name}: {left:.2g} {unit} are left that no limits explain; at rest it is less")
+        if fit.lag > 0.0:
+            out.append(f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms")
+        if name in problem.cell.limits:
+            out.append(f"{name}: cell.limits of the problem stand above what the robot's file says")
+    return out
+
+
+def _delay_lines(delays: Mapping[int, JointDelay]) -> list[str]:
+    """What all joints have in common, and the joint that is latest."""
+    if not delays:
+        return ["no commanded joints in the recording: the controller's delay is not told"]
+    found = list(delays.values())
+    weights = np.array([1.0 / max(each.total_error, 1e-6) ** 2 for each in found])
+    totals = np.array([each.total for each in found])
+    mean, lag = (float(np.average(values, weights=weights)) for values in (totals, [each.lag for each in found]))
+    error = max(float(weights.sum() ** -0.5), float(totals.std(ddof=1)) if len(found) > 1 else 0.0)
+    return [
+        f"joints follow their commands {1e3 * mean:.2f} ±{1e3 * error:.2f} ms late ({1e3 * totals.min():.2f} to "
+        f"{1e3 * totals.max():.2f}): {1e3 * (mean - lag):.1f} ms of delay, then a lag of {1e3 * lag:.1f} ms"
+    ]
+
+
+# ----------------------------------------------------------------------------------------------------
+# Arguments.
+
+
+def _add_cell(parser: Command) -> None:
+    parser.add_argument(
+        "problem", metavar="CELL", help="problem file (.yaml) with the cell, or the name of a shipped one"
+    )
+
+
+def _values(text: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        values = ()
+    if not values or not np.isfinite(values).all():
+        raise argparse.ArgumentTypeError(f"{text!r} is no list of numbers")
+    return values
+
+
+def _lengths(text: str) -> tuple[float, ...]:
+    values = _values(text)
+    if min(values) < 0.0:
+        raise argparse.ArgumentTypeError(f"{text!r}: not below 0")
+    return values
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(","))

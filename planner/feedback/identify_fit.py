@@ -1,0 +1,491 @@
+"""Limits of a joint from its recorded moves: jerk-limited profiles, fitted by least squares rather than differentiated.
+
+All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
+ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain
+more than chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a
+model, 1978). Where one
+set of limits does not explain all moves, as with an arm whose drives are asked more in one posture than in another, each
+move is fitted by itself, and the least limits are told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from planner.base.arrays import Array, Flags, ReadOnlyArrays
+from planner.feedback.identify_match import MatchedLog
+from planner.feedback.identify_moves import AskedMoves
+from planner.feedback.identify_profile import MotionLimits, MoveProfile, move_profile
+
+QUANTITIES = ("speed", "acceleration", "jerk")
+FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is no noise
+KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 %
+VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
+VAGUE_MOVE = 0.5  # of one move's, around what all moves have
+DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
+LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
+UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
+MOST_UNEVEN = 0.02  # s from even samples to their stamps
+STEP = 1e-5  # of a logarithm, for derivatives
+INSTANT = 1e-6  # s, likewise
+CRUISE = 0.05  # share of a move that is at its greatest speed, from which that is a limit
+PLATEAU = 0.15  # of the time in which an acceleration is reached that it is held, likewise
+BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
+MOST_STEPS = 60  # of a search
+FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
+FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
+FIRST_LAGS = (0.003, 0.02)  # s, likewise
+
+
+@dataclass(frozen=True)
+class MoveSamples(ReadOnlyArrays):
+    """One recorded move: times (m) [s], way gone (m) [rad, m] towards its end, the whole distance, share of the speed."""
+
+    time: Array
+    way: Array
+    distance: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A limit that a recording shows, or what it shows instead.
+
+    value    [rad, s; m where it slides]: the limit, or the greatest that was reached
+    error    its standard error [same unit]; NaN where the limit was not reached
+    spread   least and greatest among moves that differ; both the value where they agree
+    asked    the limit that the program itself had set, which hides the robot's own if that was reached
+    """
+
+    value: float
+    error: float
+    spread: tuple[float, float]
+    asked: float | None
+
+    @property
+    def told(self) -> bool:
+        """Whether the recording tells the limit."""
+        return bool(np.isfinite(self.error))
+
+    @property
+    def as_asked(self) -> bool:
+        """Whether it is no more than the limit that the program had set: the robot may be able to do more."""
+        return self.told and self.asked is not None and self.value > 0.97 * self.asked
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """What a joint's moves say: speed, acceleration, jerk; the servo's lag [s] seen in them; how well they are explained.
+
+    residual   root mean square of what is left [rad, m];  noise: standard deviation at rest [rad, m]
+    braking    acceleration and jerk of braking where they differ from those of speeding up, else None
+    """
+
+    joint: int
+    speed: Identified
+    acceleration: Identified
+    jerk: Identified
+    braking: tuple[float, float] | None
+    lag: float
+    residual: float
+    noise: float
+    moves: int
+
+    @property
+    def limits(self) -> tuple[Identified, Identified, Identified]:
+        """Speed, acceleration, jerk."""
+        return self.speed, self.acceleration, self.jerk
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Which parameters the moves of a joint share, after the speeds: logarithms."""
+
+    braking: bool
+    lag: bool
+
+    @property
+    def size(self) -> int:
+        return 2 + 2 * self.braking + self.lag
+
+    def extends(self, other: _Model) -> bool:
+        """Whether it has one thing more than another."""
+        return (
+            self.braking >= other.braking
+            and self.lag >= other.lag
+            and self.size > other.size
+            and (self.braking == other.braking or self.lag == other.lag)
+        )
+
+    def limits(self, shared: Array, level: int, levels: int) -> MotionLimits:
+        own = np.exp(np.clip(shared, -30.0, 30.0))
+        acceleration, jerk, *rest = own[levels:]
+        braking = rest[:2] if self.braking else [acceleration, jerk]
+        return MotionLimits(
+            float(own[level]), float(acceleration), float(jerk), float(braking[0]), float(braking[1]),
+            float(rest[-1]) if self.lag else 0.0,
+        )  # fmt: skip
+
+
+MODELS = tuple(_Model(braking, lag) for lag in (False, True) for braking in (False, True))
+
+
+@dataclass(frozen=True)
+class _Solved:
+    model: _Model
+    shared: Array
+    instants: Array
+    errors: Array  # standard errors of the shared parameters
+    squares: float  # sum of squared residuals, in the noise's variance
+    count: int
+
+    @property
+    def criterion(self) -> float:
+        """Schwarz's: the less the better."""
+        return float(self.count * np.log((self.squares + 0.01 * self.count) / self.count)) + len(self.shared) * float(
+            np.log(self.count)
+        )
+
+
+def fit_joints(
+    log: MatchedLog, asked: AskedMoves, first_guess: tuple[Array, Array, Array]
+) -> tuple[MatchedLog, list[JointFit]]:
+    """The limits of all joints that moved, and the recording with the clock that explains them.
+
+    first_guess: speeds, accelerations, jerks (n each) of their files [rad, m]. Where stamps are uneven, samples may have
+    been taken evenly all the same, and stamped late: what leaves less unexplained is taken.
+    """
+    joints = sorted({move.joint for move in asked.moves})
+    found = []
+    for each in (log, *evened(log)):
+        guesses = [(float(first_guess[0][j]), float(first_guess[1][j]), float(first_guess[2][j])) for j in joints]
+        fits = [fit_joint(each, asked, j, guess) for j, guess in zip(joints, guesses, strict=True)]
+        found.append((sum((fit.residual / max(fit.noise, FLOOR)) ** 2 for fit in fits), each, fits))
+    _, best, fits = min(found, key=lambda one: one[0])
+    return best, fits
+
+
+def evened(log: MatchedLog) -> list[MatchedLog]:
+    """The recording with even steps of time, where its stamps are uneven and could be those of even samples; or nothing."""
+    steps = np.diff(log.time)
+    step = float(np.median(steps))
+    if steps.std() < UNEVEN * step:
+        return []
+    first, last = int(log.rests[0, 0]), int(log.rests[-1, 1])
+    count = np.arange(len(log.time), dtype=np.float64)
+    slope, begin = np.polyfit(count[first : last + 1], log.time[first : last + 1], 1)
+    even = begin + slope * count
+    if np.abs(even - log.time)[first : last + 1].max() > MOST_UNEVEN:
+        return []
+    remark = f"stamps are uneven by {1e3 * float(steps.std()):.2g} ms, samples are not: they are taken as even"
+    return [replace(log, time=even, remarks=(*log.remarks, remark))]
+
+
+def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple[float, float, float]) -> JointFit:
+    """The limits of one joint; first_guess: speed, acceleration, jerk of its file [rad, m].
+
+    Where the controller made the profile, and its commands are in the recording, these are fitted; otherwise what was
+    executed, with the servo's lag.
+    """
+    own_profile = asked.asked[2] is None
+    commanded = log.commanded is not None and own_profile
+    moves = samples_of(log, asked, joint, commanded)
+    noise = FLOOR if commanded else max(float(log.noise[joint]), FLOOR)
+    solved = _solve_all(moves, noise, first_guess, lags=not commanded)
+    return _told(solved, moves, noise, float(log.noise[joint]), joint, asked)
+
+
+def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) -> list[MoveSamples]:
+    """The samples of a joint's moves, each from the end of the rest before to the quiet part of the one behind."""
+    out = []
+    q = log.commanded if commanded and log.commanded is not None else log.executed
+    for k, move in enumerate(asked.moves):
+        if move.joint != joint:
+            continue
+        (first, last), (next_first, next_last) = log.rests[k].tolist(), log.rests[k + 1].tolist()
+        before, after = q[first : last + 1, joint].mean(), q[next_first : next_last + 1, joint].mean()
+        part = slice(last, next_first + 1)
+        side = np.sign(after - before)
+        out.append(
+            MoveSamples(log.time[part], side * (q[part, joint] - before), float(abs(after - before)), move.share)
+        )
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# Least squares.
+
+
+def _solve_all(
+    moves: Sequence[MoveSamples], noise: float, first_guess: tuple[float, float, float], lags: bool
+) -> _Solved:
+    """The best of the models."""
+    shares = sorted({move.share for move in moves}, reverse=True)
+    speeds = np.log([_quickest(moves, share) for share in shares])
+    instants = np.array([_half_way(move) for move in moves])
+    start = _start(moves, noise, speeds, instants, first_guess)
+    plain = _solve(MODELS[0], moves, noise, start, instants)
+    levels = len(shares)
+    tops = [_profile(MODELS[0], plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
+    if not any(_reached(profile)[1] for profile in tops):
+        # an acceleration that no move reaches changes nothing, so the search cannot leave it: begin below what is reached
+        again = plain.shared.copy()
+        again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
+        plain = min(plain, _solve(MODELS[0], moves, noise, again, plain.instants), key=lambda each: each.criterion)
+    best, tried = plain, [MODELS[0]]
+    while True:
+        more = [
+            model for model in MODELS if model not in tried and model.extends(best.model) and (lags or not model.lag)
+        ]
+        if not more:
+            return best
+        tried += more
+        found = [_from(best, model, moves, noise, len(shares)) for model in more]
+        better = min(found, key=lambda each: each.criterion)
+        if better.criterion >= best.criterion:
+            return best
+        best = better
+
+
+def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: float, levels: int) -> _Solved:
+    """A model's solution, begun from that of one which it extends."""
+    speeds, (acceleration, jerk, *rest) = before.shared[:levels], before.shared[levels:]
+    braking = (rest[:2] if before.model.braking else [acceleration, jerk]) if model.braking else []
+    found = []
+    for lag in FIRST_LAGS if model.lag and not before.model.lag else (None,):
+        own = [acceleration, jerk, *braking]
+        if lag is not None:
+            # a lag that was not modelled has been taken for a lesser jerk
+            own[1::2] = [value + np.log(2.0) for value in own[1::2]]
+        last = [] if not model.lag else [rest[-1] if lag is None else np.log(lag)]
+        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants))
+    return min(found, key=lambda each: each.criterion)
+
+
+def _quickest(moves: Sequence[MoveSamples], share: float) -> float:
+    """The greatest mean speed over some 20 ms among moves at a share of the speed."""
+    found = []
+    for move in moves:
+        if move.share == share:
+            n = max(1, min(round(0.02 / float(np.median(np.diff(move.time)))), len(move.time) // 4))
+            found.append(float(((move.way[n:] - move.way[:-n]) / (move.time[n:] - move.time[:-n])).max()))
+    return max(*found, 1e-6)
+
+
+def _half_way(move: MoveSamples) -> float:
+    """When half of the distance was gone [s]."""
+    beyond = int(np.argmax(move.way > 0.5 * move.distance))
+    if beyond == 0:
+        return float(move.time.mean())
+    a, b = move.way[beyond - 1], move.way[beyond]
+    share = float(np.clip((0.5 * move.distance - a) / (b - a), 0.0, 1.0))
+    return float(move.time[beyond - 1] + share * (move.time[beyond] - move.time[beyond - 1]))
+
+
+def _start(
+    moves: Sequence[MoveSamples], noise: float, speeds: Array, instants: Array, first_guess: tuple[float, float, float]
+) -> Array:
+    """The shared parameters at which the search begins: the best of a coarse grid of accelerations and jerks."""
+    best, start = np.inf, np.append(speeds, np.log(first_guess[1:]))
+    for acceleration in first_guess[1] * FACTORS:
+        for jerk in first_guess[2] * FACTORS:
+            trial = np.append(speeds, np.log([acceleration, jerk]))
+            squares = sum(
+                float((_off(MODELS[0], trial, len(speeds), move, level, at) ** 2).sum())
+                for move, level, at in zip(moves, _levels(moves), instants, strict=True)
+            )
+            if squares < best:
+                best, start = squares, trial
+    return start
+
+
+def _levels(moves: Sequence[MoveSamples]) -> list[int]:
+    """Of each move which of the shares, from the greatest, it has."""
+    shares = sorted({move.share for move in moves}, reverse=True)
+    return [shares.index(move.share) for move in moves]
+
+
+def _profile(model: _Model, shared: Array, levels: int, move: MoveSamples, level: int) -> MoveProfile:
+    return move_profile(move.distance, model.limits(shared, level, levels))
+
+
+def _off(model: _Model, shared: Array, levels: int, move: MoveSamples, level: int, at: float) -> Array:
+    """Modelled minus recorded way (m); `at` is the middle of the move in time, as the servo lags [s]."""
+    profile = _profile(model, shared, levels, move, level)
+    return profile.at(move.time - (at - 0.5 * profile.total - profile.lag)) - move.way
+
+
+def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array) -> _Solved:
+    level, levels = _levels(moves), len(start) - model.size
+    begins = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum([len(move.time) for move in moves])])
+    n, count = len(start), int(begins[-1])
+
+    def residuals(x: Array) -> Array:
+        parts = [
+            _off(model, x[:n], levels, move, own, x[n + k]) / noise
+            for k, (move, own) in enumerate(zip(moves, level, strict=True))
+        ]
+        return np.concatenate([*parts, (x[:n] - start) / VAGUE])
+
+    def slopes(x: Array) -> Array:
+        out = np.zeros((count + n, len(x)))
+        here = residuals(x)
+        for i in range(n):
+            step = x.copy()
+            step[i] += STEP
+            out[:, i] = (residuals(step) - here) / STEP
+        for k, (move, own) in enumerate(zip(moves, level, strict=True)):
+            part = slice(begins[k], begins[k + 1])
+            later = _off(model, x[:n], levels, move, own, x[n + k] + INSTANT) / noise
+            out[part, n + k] = (later - here[part]) / INSTANT
+        return out
+
+    found = least_squares(
+        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+    )
+    squares = float((found.fun[:count] ** 2).sum())
+    scale = max(1.0, squares / max(count - len(found.x), 1))
+    return _Solved(model, found.x[:n], found.x[n:], _errors(found.jac, scale)[:n], squares, count)
+
+
+def _errors(jacobian: Array, scale: float) -> Array:
+    """Standard errors of parameters (k) from the derivatives (m, k) of residuals that have a variance."""
+    norms = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
+    _, sizes, directions = np.linalg.svd(jacobian / norms, full_matrices=False)
+    out: Array = np.sqrt(scale) * np.linalg.norm(directions / np.maximum(sizes, 1e-12)[:, None], axis=0) / norms
+    return out
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is told of it.
+
+
+def _told(
+    solved: _Solved, moves: Sequence[MoveSamples], noise: float, at_rest: float, joint: int, asked: AskedMoves
+) -> JointFit:
+    levels = len(solved.shared) - solved.model.size
+    level = _levels(moves)
+    limits = solved.model.limits(solved.shared, 0, levels)
+    profiles = [
+        _profile(solved.model, solved.shared, levels, move, own) for move, own in zip(moves, level, strict=True)
+    ]
+    own = [None if values is None else float(values[joint]) for values in asked.asked]
+    shares = np.array([move.share for move in moves])
+    ends = np.array([_reached(profile) for profile in profiles])
+    speed = _limit(
+        np.array([limits.speed]), solved.errors[:1], np.array([ends[shares == shares.max(), 0].any()]),
+        max(profile.top_speed for profile in profiles), own[0],
+    )  # fmt: skip
+    sides = 1 + solved.model.braking
+    tops = max(max(profile.top_acceleration, profile.top_braking) for profile in profiles)
+    rates = np.array([limits.acceleration, limits.braking])[:sides]
+    errors = solved.errors[levels:]
+    acceleration = _limit(
+        rates, errors[0 : 2 * sides : 2], np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, own[1]
+    )
+    jerks = np.array([limits.jerk, limits.braking_jerk])[:sides]
+    # a jerk that is not told is greater than that with 95 % confidence
+    least = float((jerks * np.exp(-2.0 * errors[1 : 2 * sides : 2])).min())
+    jerk = _limit(jerks, errors[1 : 2 * sides : 2], np.ones(sides, dtype=np.bool_), least, own[2])
+    residual = noise * float(np.sqrt(solved.squares / solved.count))
+    differ, lag = solved.squares > DIFFER * solved.count, limits.lag
+    if differ:
+        (speed, acceleration, jerk), lag = _by_move(solved, moves, noise, (speed, acceleration, jerk))
+    return JointFit(
+        joint=joint,
+        speed=speed,
+        acceleration=acceleration,
+        jerk=jerk,
+        braking=(limits.braking, limits.braking_jerk) if solved.model.braking and not differ else None,
+        lag=lag,
+        residual=residual,
+        noise=at_rest,
+        moves=len(moves),
+    )
+
+
+def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
+    """Whether a move comes to its greatest speed, acceleration, and braking, and stays there for a while.
+
+    At the edge noise decides: a limit just below what is reached without it explains a recording as well.
+    """
+    rising, up, _, cruise, falling, down, _ = profile.duration.tolist()
+    return cruise > CRUISE * profile.total, up > PLATEAU * rising, down > PLATEAU * falling
+
+
+def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> Identified:
+    """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached."""
+    known = reached & (errors < KNOWN)
+    if not known.any():
+        return Identified(top, float("nan"), (top, top), asked)
+    k = int(np.argmin(np.where(known, values, np.inf)))
+    value = float(values[k])
+    return Identified(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
+
+
+def _by_move(
+    solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified, Identified]
+) -> tuple[tuple[Identified, Identified, Identified], float]:
+    """Speed, acceleration and jerk where one set does not explain all moves, from those that explain themselves; and lag."""
+    levels = len(solved.shared) - solved.model.size
+    starts = [np.append(solved.shared[own], solved.shared[levels : levels + 2]) for own in _levels(moves)]
+    # the lag that was found for all moves may only have hidden that they differ
+    alone = {
+        lag: [
+            _solve_one(move, noise, start, float(at), lag)
+            for move, start, at in zip(moves, starts, solved.instants, strict=True)
+        ]
+        for lag in (0.0, solved.model.limits(solved.shared, 0, levels).lag)
+    }
+    lag = min(alone, key=lambda each: sum(scale for _, _, scale in alone[each]))
+    found: list[list[tuple[float, float]]] = [[], [], []]
+    for move, own, (limits, errors, scale) in zip(moves, _levels(moves), alone[lag], strict=True):
+        cruises, speeds_up, brakes = _reached(move_profile(move.distance, limits))
+        shown = (cruises and own == 0, speeds_up and brakes, True)
+        of_move = (limits.speed, limits.acceleration, limits.jerk)
+        for values, value, error, is_shown in zip(found, of_move, errors.tolist(), shown, strict=True):
+            if is_shown and error < KNOWN and scale < DIFFER**2:
+                values.append((value, error))
+    return (_least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])), lag
+
+
+def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
+    """The least of some moves' limits, given with the standard errors of their logarithms; their mean where they agree;
+    what was reached where fewer than two are known."""
+    if len(found) < 2:
+        return Identified(shared.value, float("nan"), shared.spread, shared.asked)
+    values, errors = np.array(found).T
+    logs, weights = np.log(values), 1.0 / np.maximum(errors, LEAST_ERROR) ** 2
+    mean = float(np.average(logs, weights=weights))
+    apart = float((weights * (logs - mean) ** 2).sum()) / (len(logs) - 1)
+    if apart < DIFFER:
+        value, error = float(np.exp(mean)), float(np.sqrt(max(apart, 1.0) / weights.sum()))
+        return Identified(value, value * max(error, LEAST_ERROR), (value, value), shared.asked)
+    low, high = float(values.min()), float(values.max())
+    return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
+
+
+def _solve_one(
+    move: MoveSamples, noise: float, start: Array, at: float, lag: float
+) -> tuple[MotionLimits, Array, float]:
+    """Limits of one move by itself, near those (3) of all moves, the standard errors (3) of their logarithms, and the
+    variance of what is left, in that of the noise."""
+
+    def limits(x: Array) -> MotionLimits:
+        speed, acceleration, jerk = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
+        return MotionLimits(speed, acceleration, jerk, acceleration, jerk, lag)
+
+    def residuals(x: Array) -> Array:
+        profile = move_profile(move.distance, limits(x))
+        off = profile.at(move.time - (x[3] - 0.5 * profile.total - lag)) - move.way
+        return np.concatenate([off / noise, (x[:3] - start) / VAGUE_MOVE])
+
+    found = least_squares(
+        residuals, np.append(start, at), x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+    )
+    scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
+    return limits(found.x), _errors(found.jac, scale)[:3], scale

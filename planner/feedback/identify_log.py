@@ -1,0 +1,325 @@
+"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.errors import Complaint, InputError
+from planner.base.files import read_text
+from planner.cell.cell import Cell
+
+LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
+LEAST_SAMPLES = 50
+
+# Words of a column's name, by what they say. Those that say what the robot was told come first in a name that has both.
+COMMANDED = {"target", "cmd", "command", "commanded", "desired", "reference", "ref", "setpoint", "planned", "goal"}
+EXECUTED = {"actual", "act", "executed", "measured", "meas", "feedback", "fb", "state", "states", "real", "msr"}
+FILLING = {
+    "position", "positions", "pos", "angle", "angles", "value", "values", "robot", "field", "data", "msg", "name",
+}  # fmt: skip
+OTHER = {
+    "velocity", "velocities", "vel", "qd", "qdd", "speed", "current", "torque", "effort", "acceleration", "acc", "moment",
+    "temperature", "temp", "voltage", "jerk", "error", "err", "dq", "ddq", "tau", "pose", "tcp", "force", "output", "mode",
+}  # fmt: skip
+NUMBERED = {"j", "q", "joint", "joints", "axis", "axes", "a", "ax", "theta", "rax", "aspos", "aipos", "axisact", "jnt"}
+EXTERNAL = {"e", "eax", "ext", "external", "extax"}
+TIMES = {"t", "time", "timestamp", "stamp", "clock", "clk", "elapsed"}
+DEGREE = np.pi / 180.0
+PLACES = {"deg": DEGREE, "degree": DEGREE, "degrees": DEGREE, "°": DEGREE, "rad": 1.0, "radian": 1.0, "radians": 1.0,
+          "mm": 1e-3, "m": 1.0}  # fmt: skip
+CLOCKS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6,
+          "µs": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9, "nsecs": 1e-9, "nanosec": 1e-9}  # fmt: skip
+ROS_STAMP = 1e16  # beyond, a stamp without a unit counts nanoseconds since 1970, as rostopic writes them
+LEAST_STEP, MOST_STEP = 0.2e-3, 0.5  # s between samples: anything else is another unit
+SPELLINGS = "t_s, then joint names, or J1 … J6, q1 … q6, A1 … A6, actual_q_0 … actual_q_5, with _deg or _rad"
+_WORD = re.compile(r"[a-z°µ]+|[0-9]+")
+
+
+@dataclass(frozen=True)
+class RobotLog(ReadOnlyArrays):
+    """A recording (m samples) of a cell's joints (n), as the file has it.
+
+    lines (m)            where each sample stands, from line 1
+    time (m)             [s]
+    executed (m, n)      where the joints were; commanded (m, n): where they were told to be, if the file knows
+    unit (n)             what the numbers are in [rad, m]; NaN where the file does not say
+    told                 names of the columns that were taken, in the order of time, executed, commanded
+    """
+
+    file: Path
+    lines: Ints
+    time: Array
+    executed: Array
+    commanded: Array | None
+    unit: Array
+    commanded_unit: Array | None
+    told: tuple[str, ...]
+
+    @property
+    def step(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+
+@dataclass(frozen=True)
+class LogColumn:
+    """A column that is wanted: its place k in a line, its name, what it holds, and in which unit.
+
+    role    "time", "executed" or "commanded"
+    named   the joint whose own name stands there; number: the one that stands behind a J, q or the like, as it stands
+    unit    in s, rad or m; NaN where the name does not say it
+    """
+
+    k: int
+    name: str
+    role: str
+    unit: float
+    named: int | None = None
+    number: int | None = None
+    external: bool = False
+
+
+def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> RobotLog:
+    """Read a recording of this cell's joints.
+
+    columns   names of the columns, of a file without a header; others than those of times and joints are not read
+    Raises InputError with file, line and column for whatever cannot be read, and for a clock that does not run on.
+    """
+    lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
+    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    if not rows:
+        raise InputError("holds no samples", file=file)
+    separator = next((mark for mark in (",", ";", "\t") if mark in rows[0][1]), None)
+    if columns is None:
+        line, head = rows.pop(0)
+        wrong = partial(InputError, file=file, line=line)
+        words = _split(head, separator, wrong)
+        if all(_is_number(word) for word in words):
+            raise wrong("a header that names the columns is missing", hint=f"--columns names them: {SPELLINGS}")
+    else:
+        words, wrong = list(columns), partial(InputError, file=file, field="--columns")
+    clocks, places = _wanted(words, cell, wrong)
+    if len(rows) < LEAST_SAMPLES:
+        raise InputError(f"holds {len(rows)} samples", file=file, hint=f"at least {LEAST_SAMPLES}")
+    table = _numbers(file, rows, separator, [*clocks, *places.values()])
+    numbers = np.array([i for i, _ in rows], dtype=np.int64)
+    return _running_on(_log(file, numbers, table, clocks, places))
+
+
+def _log(
+    file: Path, lines: Ints, table: Array, clocks: Sequence[LogColumn], places: dict[tuple[str, int], LogColumn]
+) -> RobotLog:
+    n = sum(role == "executed" for role, _ in places)
+    executed, commanded = np.empty((len(lines), n)), np.empty((len(lines), n))
+    unit, commanded_unit = np.empty(n), np.empty(n)
+    for at, ((role, j), column) in enumerate(places.items(), len(clocks)):
+        values, units = (executed, unit) if role == "executed" else (commanded, commanded_unit)
+        values[:, j], units[j] = table[:, at], column.unit
+    there = ("commanded", 0) in places
+    return RobotLog(
+        file=file,
+        lines=lines,
+        time=_time(file, lines, table, clocks),
+        executed=executed,
+        commanded=commanded if there else None,
+        unit=unit,
+        commanded_unit=commanded_unit if there else None,
+        told=tuple(column.name for column in (*clocks, *places.values())),
+    )
+
+
+def _time(file: Path, lines: Ints, table: Array, clocks: Sequence[LogColumn]) -> Array:
+    """The clock (m) [s], from 0 at the first sample."""
+    time = np.zeros(len(table))
+    for values, column in zip(table.T, clocks, strict=False):
+        unit = (1e-9 if values[0] > ROS_STAMP else 1.0) if np.isnan(column.unit) else column.unit
+        time = time + (values - values[0]) * unit
+    step = float(np.median(np.abs(np.diff(time))))
+    if step > MOST_STEP or 0.0 < step < LEAST_STEP:
+        name = clocks[0].name
+        hint = (
+            f"a name with its unit, such as {name.split('_')[0][:20]}_ms" if step > MOST_STEP else "a clock in seconds"
+        )
+        reason = f"column {name[:40]!r} goes on by {step:g} s from sample to sample, which no controller records"
+        raise InputError(reason, file=file, line=int(lines[0]), hint=hint)
+    return time
+
+
+def _running_on(log: RobotLog) -> RobotLog:
+    """The recording without samples that were written twice. Raises InputError where its clock runs back or stands still."""
+    steps = np.diff(log.time)
+    back = np.flatnonzero(steps < 0.0)
+    if len(back):
+        k = int(back[0])
+        reason = f"the clock runs back by {-steps[k]:.6g} s, {log.time[k]:.6g} s behind the first sample"
+        hint = "one recording in a file, in the order in which it was made"
+        raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
+    still = steps == 0.0
+    if not still.any():
+        return log
+    same = (np.diff(log.executed, axis=0) == 0.0).all(axis=1)
+    if log.commanded is not None:
+        same &= (np.diff(log.commanded, axis=0) == 0.0).all(axis=1)
+    moved = np.flatnonzero(still & ~same)
+    if len(moved):
+        k = int(moved[0])
+        reason = f"the clock stands still {log.time[k]:.6g} s behind the first sample while the joints move"
+        hint = f"{len(moved)} times in all; stamps with more digits"
+        raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
+    kept = np.append(True, ~still)
+    commanded = None if log.commanded is None else log.commanded[kept]
+    return replace(log, lines=log.lines[kept], time=log.time[kept], executed=log.executed[kept], commanded=commanded)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Names of columns.
+
+
+def _wanted(
+    words: Sequence[str], cell: Cell, wrong: Complaint
+) -> tuple[list[LogColumn], dict[tuple[str, int], LogColumn]]:
+    """The columns of the clock, and those of joints by role and joint. InputError where one is missing or there twice."""
+    found = [column for k, word in enumerate(words) if (column := column_of(k, word, cell)) is not None]
+    clocks = [column for column in found if column.role == "time"]
+    if not clocks:
+        raise wrong("no column has the time", hint=SPELLINGS)
+    split = [
+        column for column in clocks if {"secs", "sec", "nsecs", "nanosec"} & set(_WORD.findall(column.name.lower()))
+    ]
+    places: dict[tuple[str, int], LogColumn] = {}
+    for column, j in _joints([column for column in found if column.role != "time"], cell):
+        if (column.role, j) in places:
+            reason = f"columns {places[column.role, j].name!r} and {column.name!r} are both of {cell.joint_names[j]}"
+            raise wrong(reason, hint="leave one of them out")
+        places[column.role, j] = column
+    n = len(cell.joint_names)
+    missing = [cell.joint_names[j] for j in range(n) if ("executed", j) not in places]
+    if len(missing) == n and all(("commanded", j) in places for j in range(n)):
+        raise wrong("it has what joints were told, and not where they were", hint="columns such as actual_q_0")
+    if missing:
+        raise wrong(f"no column has {', '.join(missing)}", hint=SPELLINGS)
+    told = [j for j in range(n) if ("commanded", j) in places]
+    if told and len(told) < n:
+        raise wrong(
+            f"commanded joints are there for {', '.join(cell.joint_names[j] for j in told)} only", hint=SPELLINGS
+        )
+    return (split if len(split) == 2 else clocks[:1]), places
+
+
+def column_of(k: int, name: str, cell: Cell) -> LogColumn | None:
+    """What a column's name says; None for one that is neither a time nor a joint's place."""
+    name = name.strip().strip("\"'").strip()
+    plain = name.lower()
+    words = _WORD.findall(plain)
+    ends = CLOCKS if set(words) & TIMES and not set(words) & NUMBERED else PLACES
+    unit = ends[words[-1]] if len(words) > 1 and words[-1] in ends else float("nan")
+    plain = plain[: plain.rindex(words[-1])] if unit == unit else plain
+    words = words[:-1] if unit == unit else words
+    if ends is CLOCKS and set(words) <= TIMES | FILLING | {"header", "from", "start", "rosbag", "ros"}:
+        return LogColumn(k, name, "time", unit)
+    role = "commanded" if COMMANDED & set(words) else "executed"
+    joints = [joint.lower() for joint in cell.joint_names]
+    named = _named(plain, joints)
+    rest = words if named is None else _WORD.findall(plain.replace(joints[named], " "))
+    if OTHER & set(rest):
+        return None
+    kept = [word for word in words if word not in COMMANDED | EXECUTED | FILLING]
+    external = len(kept) == 2 and kept[0] in EXTERNAL
+    number = None
+    if external:
+        number = int(kept[1]) if kept[1].isdigit() else "abcdef".find(kept[1]) + 1
+    elif kept and kept[-1].isdigit() and len(kept[-1]) < 3 and set(kept[:-1]) <= NUMBERED and len(words) > 1:
+        number = int(kept[-1])
+    if named is None and number is None:
+        return None
+    return LogColumn(k, name, role, unit, named, number, external)
+
+
+def _joints(columns: Sequence[LogColumn], cell: Cell) -> list[tuple[LogColumn, int]]:
+    """The joint of each column: by its name, or by its number, from 0 where one has that."""
+    from_zero = {column.role for column in columns if column.number == 0 and not column.external}
+    out, first, own = [], cell.own.start, cell.own.stop - cell.own.start
+    for column in columns:
+        j = column.named
+        if column.number is not None and (j is None or column.role in from_zero):
+            if column.external:
+                at = column.number - 1
+                j = cell.besides[at] if 0 <= at < len(cell.besides) else None
+            else:
+                at = column.number - (column.role not in from_zero)
+                j = first + at if 0 <= at < own else None
+        if j is not None:
+            out.append((column, j))
+    return out
+
+
+def _named(plain: str, joints: Sequence[str]) -> int | None:
+    """The joint whose own name stands in a column's: the longest of them."""
+    inside = [
+        j
+        for j, name in enumerate(joints)
+        if re.search(rf"(?<![a-z0-9]){re.escape(name)}(?![a-z0-9]|_[0-9])", plain) is not None
+    ]
+    return max(inside, key=lambda j: len(joints[j])) if inside else None
+
+
+# ----------------------------------------------------------------------------------------------------
+# Numbers.
+
+_AT_ROW = re.compile(r"(.*) at row ([0-9]+)")
+
+
+def _numbers(file: Path, rows: Sequence[tuple[int, str]], separator: str | None, columns: Sequence[LogColumn]) -> Array:
+    """The numbers (m, c) of the wanted columns. InputError, with the line, for what is none."""
+    if separator is not None:
+        count = rows[0][1].count(separator)
+        other = next((line for line, text in rows if text.count(separator) != count), None)
+        if other is not None and '"' not in rows[0][1]:
+            hint = "a decimal point, not a comma, and every line whole"
+            raise InputError("has another number of columns than the lines before", file=file, line=other, hint=hint)
+    try:
+        table = np.loadtxt(
+            [text for _, text in rows],
+            delimiter=separator,
+            usecols=[column.k for column in columns],
+            comments=None,
+            quotechar='"',
+            ndmin=2,
+        )
+    except ValueError as error:
+        found = _AT_ROW.match(str(error))
+        line = rows[min(int(found[2]), len(rows) - 1)][0] if found else None
+        reason = f"{found[1] if found else error}"[:120]
+        hint = "numbers with a decimal point, in every line as many as the header names"
+        raise InputError(reason, file=file, line=line, hint=hint) from None
+    bad = ~np.isfinite(table)
+    if bad.any():
+        row, column = np.unravel_index(int(np.argmax(bad)), bad.shape)
+        name = columns[int(column)].name[:40]
+        raise InputError(f"column {name!r} is no finite number here", file=file, line=rows[int(row)][0])
+    return table
+
+
+def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
+    if separator is None:
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator))
+    except csv.Error as error:
+        raise wrong(f"is not CSV: {error}") from None
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,327 @@
+"""A recording held against what a test program asked: which rest is which, and why it is none of them where it is none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
+from planner.base.errors import InputError
+from planner.feedback.identify_log import RobotLog
+from planner.feedback.identify_moves import AskedMoves
+
+SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
+LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
+QUIET = (0.4, 0.7)  # of a rest, between which it is quiet
+STILL = (np.radians(0.02), 5e-5)  # by which averages differ at most where a joint stands [rad, m]
+SIGMAS = 6.0  # of noise that are no motion
+SAME = (np.radians(0.1), 0.4e-3)  # from where it was asked to rest; servos leave less [rad, m]
+STRAY = (np.radians(0.3), 1e-3)  # by which joints may move that were not asked to [rad, m]
+SLOWEST = 0.0125  # s between samples: a short move takes some 80 ms
+GAP = 5.0  # median steps: a longer one is a gap
+COMMANDED_OFF = (np.radians(1.0), 3e-3)  # from where joints were told to rest to where they do [rad, m]
+COMMANDED_STILL = (np.radians(0.1), 3e-4)  # by which commands change at most while joints rest [rad, m]
+DEGREE = np.pi / 180.0
+
+
+@dataclass(frozen=True)
+class MatchedLog(ReadOnlyArrays):
+    """A recording (m samples) of the moves (k) that were asked of a cell's joints (n).
+
+    time (m) [s];  executed (m, n), commanded (m, n) or None [rad, m]
+    rests (k + 1, 2)   first and last sample of the quiet middle of each rest
+    postures (k + 1, n)   where the joints rested [rad, m];  noise (n): standard deviation of one sample there [rad, m]
+    remarks            what was found out about the file, in words
+    """
+
+    time: Array
+    executed: Array
+    commanded: Array | None
+    rests: Ints
+    postures: Array
+    noise: Array
+    remarks: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Rests:
+    """Stretches in which all joints stand: first and last sample (r, 2), mean postures (r, n) of their quiet middles."""
+
+    ends: Ints
+    postures: Array
+
+    def __len__(self) -> int:
+        return len(self.ends)
+
+
+@dataclass(frozen=True)
+class LogReading:
+    """One way to read a file's numbers: factors and offsets (n each) that make them our joints, and in words."""
+
+    scale: Array
+    offset: Array
+    words: tuple[str, ...]
+
+
+def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
+    """Find the asked moves in a recording.
+
+    Raises InputError with what was found: too few samples, gaps, another unit or order of joints, another program.
+    """
+    if log.step > SLOWEST:
+        hint = f"at least one every {1e3 * SLOWEST:g} ms"
+        raise InputError(f"too few samples: one every {1e3 * log.step:.3g} ms", file=log.file, hint=hint)
+    readings = list(_readings(log, asked))
+    tried = [(reading, log.executed * reading.scale + reading.offset) for reading in readings]
+    for reading, q in tried:
+        rests = find_rests(log.time, q, asked)
+        if (first := _aligned(rests, asked)) is not None:
+            return _matched(log, asked, reading, q, Rests(*_cut(rests, first, len(asked.moves) + 1)))
+    reading, q = tried[0]
+    raise _misfit(log, asked, q, find_rests(log.time, q, asked))
+
+
+def find_rests(time: Array, q: Array, asked: AskedMoves) -> Rests:
+    """Stretches of a recording in which all joints q (m, n) [rad, m] stand, those with one posture joined."""
+    step = float(np.median(np.diff(time)))
+    count = min(max(round(SPAN / step), 3), len(q) // 4)
+    sums = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(q - q[0], axis=0)])
+    means = (sums[count:] - sums[:-count]) / count
+    change = np.abs(means[count:] - means[:-count])  # behind and before sample i + count
+    still = np.maximum(SIGMAS * _noise(q) * np.sqrt(2.0 / count), _tolerances(asked, STILL))
+    quiet = np.zeros(len(q), dtype=np.bool_)
+    quiet[count : count + len(change)] = (change < still).all(axis=1)
+    # at the ends of a file there is nothing before, or behind: as beside them
+    quiet[:count], quiet[count + len(change) :] = quiet[count], quiet[count + len(change) - 1]
+    ends = _runs(quiet)
+    ends = ends[time[ends[:, 1]] - time[ends[:, 0]] >= LEAST_REST]
+    postures = np.array([q[_middle(first, last)].mean(axis=0) for first, last in ends]).reshape(-1, q.shape[1])
+    return _joined(ends, postures, _tolerances(asked, SAME))
+
+
+def _joined(ends: Ints, postures: Array, same: Array) -> Rests:
+    """Rests that follow each other at one posture are one: something shook the robot there."""
+    if not len(ends):
+        return Rests(ends, postures)
+    begins = np.append(True, (np.abs(np.diff(postures, axis=0)) > same).any(axis=1))
+    first = np.flatnonzero(begins)
+    last = np.append(first[1:], len(ends)) - 1
+    return Rests(np.column_stack([ends[first, 0], ends[last, 1]]), postures[first])
+
+
+def _runs(flags: Flags) -> Ints:
+    """First and last index (r, 2) of each run of true flags."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return np.column_stack([edges[0::2], edges[1::2] - 1]).astype(np.int64)
+
+
+def _middle(first: int, last: int) -> slice:
+    """The quiet part of a rest: what settles at its beginning is left out, and commands that come before the motion."""
+    length = int(last) - int(first)
+    return slice(int(first) + int(QUIET[0] * length), int(first) + int(QUIET[1] * length) + 1)
+
+
+def _noise(q: Array) -> Array:
+    """Standard deviation (n) of single samples: joints stand for most of the time, so the median step tells it."""
+    out: Array = 1.4826 * np.median(np.abs(np.diff(q, axis=0)), axis=0) / np.sqrt(2.0)
+    return out
+
+
+def _tolerances(asked: AskedMoves, pair: tuple[float, float]) -> Array:
+    """A tolerance (n) of joints that turn, and of those that slide."""
+    return np.where(np.isin(np.arange(len(asked.start)), asked.sliding), pair[1], pair[0])
+
+
+def _readings(log: RobotLog, asked: AskedMoves) -> Iterator[LogReading]:
+    """The ways in which a file's numbers may be meant: units that it does not say, joints as the controller counts them."""
+    n, slides = len(asked.start), np.isin(np.arange(len(asked.start)), asked.sliding)
+    controllers = not (np.all(asked.signs == 1.0) and np.all(asked.offsets == 0.0))
+    unsaid = np.isnan(log.unit)
+    for degrees in (True, False) if unsaid.any() else (True,):
+        usual = np.where(slides, 1e-3 if degrees else 1.0, DEGREE if degrees else 1.0)
+        scale = np.where(unsaid, usual, log.unit)
+        said = f"numbers without a unit are {'degrees' if degrees else 'radians'}" if unsaid.any() else ""
+        yield LogReading(scale, np.zeros(n), (said,) if said else ())
+        if controllers:
+            words = "joints are counted as the controller does"
+            yield LogReading(asked.signs * scale, -asked.signs * asked.offsets, (said, words) if said else (words,))
+
+
+def _aligned(rests: Rests, asked: AskedMoves) -> int | None:
+    """The rest with which the asked moves begin; None where they are not all there, one after another."""
+    wanted, same = asked.postures, _tolerances(asked, SAME)
+    spare = len(rests) - len(wanted)
+    fits = (k for k in range(spare + 1) if (np.abs(rests.postures[k : k + len(wanted)] - wanted) < same).all())
+    return next(fits, None)
+
+
+def _cut(rests: Rests, first: int, count: int) -> tuple[Ints, Array]:
+    return rests.ends[first : first + count], rests.postures[first : first + count]
+
+
+def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, rests: Rests) -> MatchedLog:
+    middles = [_middle(first, last) for first, last in rests.ends]
+    first, last = int(rests.ends[0, 0]), int(rests.ends[-1, 1])
+    _check_clock(log, middles[0].start, middles[-1].stop)
+    quiet = np.concatenate([q[each] - q[each].mean(axis=0) for each in middles])
+    spare = len(quiet) - len(middles)
+    noise = np.sqrt((quiet**2).sum(axis=0) / max(spare, 1))
+    _check_alone(log, asked, q, middles, _tolerances(asked, STRAY) + SIGMAS * noise)
+    return MatchedLog(
+        time=log.time,
+        executed=q,
+        commanded=_commanded(log, asked, reading, q, middles),
+        rests=np.array([[each.start, each.stop - 1] for each in middles], dtype=np.int64),
+        postures=rests.postures,
+        noise=noise,
+        remarks=(
+            *reading.words,
+            f"columns {', '.join(log.told)}",
+            f"{last - first + 1} samples, one every {1e3 * log.step:.3g} ms, in lines {log.lines[first]} to {log.lines[last]}",
+        ),
+    )
+
+
+def _check_clock(log: RobotLog, first: int, last: int) -> None:
+    steps = np.diff(log.time[first:last])
+    gaps = np.flatnonzero(steps > GAP * log.step)
+    if len(gaps):
+        k = first + int(gaps[0])
+        longest = float(steps.max())
+        reason = (
+            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} between samples, the longest {longest:.3f} s: samples are "
+            "missing, or the clock jumped"
+        )
+        hint = f"a recording with a sample every {1e3 * log.step:.3g} ms throughout"
+        raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
+
+
+def _check_alone(log: RobotLog, asked: AskedMoves, q: Array, middles: list[slice], stray: Array) -> None:
+    """That only the joint moves that was asked to."""
+    for move, before, after in zip(asked.moves, middles, middles[1:], strict=False):
+        part = q[before.start : after.stop]
+        away = np.abs(part - part[0])
+        away[:, move.joint] = 0.0
+        if (away > stray).any():
+            row, j = np.unravel_index(int(np.argmax(away / stray)), away.shape)
+            reason = (
+                f"{asked.joint_names[j]} moves by {_shown(asked, int(j), away[row, j])} while only "
+                f"{asked.joint_names[move.joint]} was asked to"
+            )
+            raise InputError(reason, file=log.file, line=int(log.lines[before.start + int(row)]))
+
+
+def _commanded(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, middles: list[slice]) -> Array | None:
+    """The commanded joints (m, n) [rad, m], read as the executed ones. InputError where they rest elsewhere."""
+    if log.commanded is None or log.commanded_unit is None:
+        return None
+    unsaid = np.isnan(log.commanded_unit)
+    scale = np.where(unsaid, reading.scale, np.sign(reading.scale) * log.commanded_unit)
+    told = log.commanded * scale + reading.offset
+    off = np.abs(np.array([told[each].mean(axis=0) - q[each].mean(axis=0) for each in middles])).max(axis=0)
+    worst = int(np.argmax(off / _tolerances(asked, COMMANDED_OFF)))
+    if off[worst] > _tolerances(asked, COMMANDED_OFF)[worst]:
+        reason = (
+            f"commanded and executed joints rest up to {_shown(asked, worst, off[worst])} apart at "
+            f"{asked.joint_names[worst]}: another unit, order or clock"
+        )
+        raise InputError(reason, file=log.file)
+    moving = np.array([np.ptp(told[each], axis=0) for each in middles]) > _tolerances(asked, COMMANDED_STILL)
+    if moving.any():
+        k = int(np.argmax(moving.any(axis=1)))
+        reason = "commands begin to move more than some 0.15 s before the joints do, or their clock is another"
+        raise InputError(reason, file=log.file, line=int(log.lines[middles[k].start]))
+    return np.asarray(told)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Why a recording is not of the program, in words.
+
+_MOST_NAMED = 3  # joints in one sentence
+
+
+def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: Rests) -> InputError:
+    """What is wrong with a recording in which the asked moves are not found."""
+    hint = "name the columns as they are"
+    for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
+        # places are too near each other, or too far, to be told from noise in another unit: looked at anew
+        if _aligned(find_rests(log.time, scale * q, asked), asked) is not None:
+            return InputError(f"joints are in {unit}, where its header says {said}", file=log.file, hint=hint)
+    if not len(rests):
+        return InputError("the joints never rest in it", file=log.file, hint="record the whole test program")
+    count = len(asked.moves) + 1
+    for k in range(len(rests) - count + 1):
+        for words in (_other_order, _other_zero):
+            if (found := words(asked, rests.postures[k : k + count])) is not None:
+                return InputError(found, file=log.file, hint=hint)
+    return _another_program(log, asked, rests)
+
+
+def _other_order(asked: AskedMoves, found: Array) -> str | None:
+    """Columns that move as other joints were asked to."""
+    same = _tolerances(asked, SAME)
+    apart = np.abs(found[:, :, None] - asked.postures[:, None, :]).max(axis=0)  # column, joint
+    fits = apart < same
+    others = [(c, int(np.argmin(apart[c]))) for c in range(len(fits)) if not fits[c, c] and fits[c].any()]
+    if not others or not fits.any(axis=1).all():
+        return None
+    names = asked.joint_names
+    words = [f"that of {names[c]} moves as {names[j]} was asked to" for c, j in others[:_MOST_NAMED]]
+    return f"columns are in another order: {', '.join(words)}{' …' if len(others) > _MOST_NAMED else ''}"
+
+
+def _other_zero(asked: AskedMoves, found: Array) -> str | None:
+    """Joints that move as asked, from another zero or the other way round."""
+    wanted, same = asked.postures - asked.start, 2.0 * _tolerances(asked, SAME)
+    moved = found - found[0]
+    right, turned = ((np.abs(side * moved - wanted) < same).all(axis=0) for side in (1.0, -1.0))
+    if not (right | turned).all():
+        return None
+    off = found[0] - asked.start
+    names = asked.joint_names
+    words = [f"{names[j]} moves the other way round" for j in np.flatnonzero(turned & ~right)]
+    words += [
+        f"the zero of {names[j]} is {_shown(asked, int(j), off[j])} off"
+        for j in np.flatnonzero(right & (np.abs(off) > 0.5 * same))
+    ]
+    more = " …" if len(words) > _MOST_NAMED else ""
+    return f"joints are counted otherwise: {', '.join(words[:_MOST_NAMED])}{more}"
+
+
+def _another_program(log: RobotLog, asked: AskedMoves, rests: Rests) -> InputError:
+    """How far the recording is that of the program, and where it leaves it."""
+    wanted, same = asked.postures, _tolerances(asked, SAME)
+    held = np.zeros(len(rests), dtype=np.int64)
+    for k in range(len(rests)):
+        part = rests.postures[k : k + len(wanted)]
+        fits = (np.abs(part - wanted[: len(part)]) < same).all(axis=1)
+        held[k] = len(part) if fits.all() else int(np.argmin(fits))
+    best = int(np.argmax(held))
+    count = int(held[best])
+    hint = "record the program that was written with the file of --asked, from its first posture to its last"
+    if count == 0:
+        off = np.abs(rests.postures - asked.start)
+        nearest = int(np.argmin((off / same).max(axis=1)))
+        j = int(np.argmax((off / same)[nearest]))
+        reason = (
+            f"another program: none of its {len(rests)} rests is the start posture; in the nearest "
+            f"{asked.joint_names[j]} is {_shown(asked, j, off[nearest, j])} away"
+        )
+        return InputError(reason, file=log.file, line=int(log.lines[rests.ends[nearest, 0]]), hint=hint)
+    if best + count >= len(rests):
+        reason = f"ends after {count - 1} of {len(wanted) - 1} moves"
+        return InputError(reason, file=log.file, line=int(log.lines[-1]), hint=hint)
+    off = np.abs(rests.postures[best + count] - wanted[count])
+    j = int(np.argmax(off / same))
+    reason = (
+        f"another program: its first {count - 1} of {len(wanted) - 1} moves are as asked, then {asked.joint_names[j]} rests "
+        f"{_shown(asked, j, off[j])} from where it was asked to"
+    )
+    return InputError(reason, file=log.file, line=int(log.lines[rests.ends[best + count, 0]]), hint=hint)
+
+
+def _shown(asked: AskedMoves, j: int, value: float) -> str:
+    """A distance of a joint in degrees, or in mm."""
+    return f"{1e3 * value:.3g} mm" if j in asked.sliding else f"{np.degrees(value):.3g} degrees"

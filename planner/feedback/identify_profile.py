@@ -1,0 +1,168 @@
+"""A move of one joint from rest to rest under limits of speed, acceleration and jerk: seven segments, each a cubic.
+
+Acceleration and braking have limits of their own, as drives have that gravity or a regenerative bus treats differently.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.optimize import brentq
+
+from planner.base.arrays import Array, Indices
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Greatest speed [rad/s], acceleration and its jerk [rad/s², rad/s³], and those of braking; metres where it slides.
+
+    lag [s]   time constant of a servo that follows the profile late, as a first-order system; 0: it follows at once
+    """
+
+    speed: float
+    acceleration: float
+    jerk: float
+    braking: float
+    braking_jerk: float
+    lag: float = 0.0
+
+
+@dataclass(frozen=True)
+class MoveProfile:
+    """Segments of constant jerk (7): where each begins, and how far it goes; the move begins at 0 from 0.
+
+    start (7), duration (7) [s];  coefficients (7, 4) of q = c0 + c1 t + c2 t² + c3 t³, t from the segment's start
+    follower (7)   where the lagging servo is at each start, where there is a lag [rad]
+    end            where profile and servo are at the end [rad]
+    """
+
+    start: Array
+    duration: Array
+    coefficients: Array
+    follower: Array
+    lag: float
+    end: tuple[float, float]
+
+    @property
+    def total(self) -> float:
+        """How long the move takes [s]."""
+        return float(self.start[-1] + self.duration[-1])
+
+    @property
+    def top_speed(self) -> float:
+        """Speed at the middle of the move [rad/s]."""
+        return float(self.coefficients[3, 1])
+
+    @property
+    def top_acceleration(self) -> float:
+        """Greatest acceleration [rad/s²]."""
+        return float(2.0 * self.coefficients[1, 2])
+
+    @property
+    def top_braking(self) -> float:
+        """Greatest deceleration [rad/s²]."""
+        return float(-2.0 * self.coefficients[5, 2])
+
+    def at(self, t: Array) -> Array:
+        """Positions (m) [rad] at times (m) [s] of the servo; at rest before the start, and behind the end."""
+        k, own = self._places(t)
+        if self.lag == 0.0:
+            return _cubic(self.coefficients[k], own)
+        steady = np.stack(_steady(self.coefficients.T, self.lag), axis=1)
+        fading = (self.follower - steady[:, 0])[k] * np.exp(-own / self.lag)
+        rest, behind = self.end
+        over = np.maximum(t - self.total, 0.0)
+        out: Array = np.where(
+            t > self.total, rest + (behind - rest) * np.exp(-over / self.lag), _cubic(steady[k], own) + fading
+        )
+        return np.where(t < 0.0, 0.0, out)
+
+    def speed_at(self, t: Array) -> Array:
+        """Speeds (m) [rad/s] at times (m) [s] of the profile, whatever the lag."""
+        k, own = self._places(t)
+        c = self.coefficients[k]
+        out: Array = c[:, 1] + own * (2.0 * c[:, 2] + 3.0 * own * c[:, 3])
+        return out
+
+    def states_at(self, t: Array) -> Array:
+        """Position, speed and acceleration (m, 3) [rad, s] at times (m) [s] of the profile, whatever the lag."""
+        k, own = self._places(t)
+        c = self.coefficients[k]
+        speed, acceleration = self.speed_at(t), 2.0 * c[:, 2] + 6.0 * own * c[:, 3]
+        return np.column_stack([_cubic(c, own), speed, acceleration])
+
+    def _places(self, t: Array) -> tuple[Indices, Array]:
+        """The segment (m) of each time, and the time since it began (m), within it."""
+        k = np.clip(np.searchsorted(self.start, t, side="right") - 1, 0, 6)
+        return k, np.clip(t - self.start[k], 0.0, self.duration[k])
+
+
+def move_profile(distance: float, limits: MotionLimits) -> MoveProfile:
+    """The quickest move over a distance > 0 [rad] under limits."""
+    top = _top_speed(distance, limits)
+    first, last = _ramp(top, limits.acceleration, limits.jerk), _ramp(top, limits.braking, limits.braking_jerk)
+    cruise = max(distance - 0.5 * top * (_length(first) + _length(last)), 0.0) / top
+    durations = (first[0], first[1], first[0], cruise, last[0], last[1], last[0])
+    up, down = limits.jerk, limits.braking_jerk
+    # plain numbers: a fit asks for thousands of moves, and arrays of three would take ten times as long
+    starts, rows, follower = [], [], []
+    begun = q = v = a = behind = 0.0
+    for t, jerk in zip(durations, (up, 0.0, -up, 0.0, -down, 0.0, down), strict=True):
+        row = (q, v, 0.5 * a, jerk / 6.0)
+        starts.append(begun)
+        rows.append(row)
+        follower.append(behind)
+        if limits.lag > 0.0:
+            c0, c1, c2, c3 = _steady(row, limits.lag)
+            behind = c0 + t * (c1 + t * (c2 + t * c3)) + (behind - c0) * math.exp(-t / limits.lag)
+        q += t * (v + t * (0.5 * a + t * jerk / 6.0))
+        v += t * (a + 0.5 * t * jerk)
+        a += t * jerk
+        begun += t
+    return MoveProfile(
+        np.array(starts), np.array(durations), np.array(rows), np.array(follower), limits.lag, (q, behind)
+    )
+
+
+def _ramp(top: float, acceleration: float, jerk: float) -> tuple[float, float]:
+    """Times of jerk, twice, and of constant acceleration between [s] in which a speed is reached from rest."""
+    if top * jerk >= acceleration**2:
+        return acceleration / jerk, top / acceleration - acceleration / jerk
+    return math.sqrt(top / jerk), 0.0
+
+
+def _length(ramp: tuple[float, float]) -> float:
+    return 2.0 * ramp[0] + ramp[1]
+
+
+def _top_speed(distance: float, limits: MotionLimits) -> float:
+    """The greatest speed of the quickest move over a distance."""
+
+    def spare(top: float) -> float:
+        ramps = _ramp(top, limits.acceleration, limits.jerk), _ramp(top, limits.braking, limits.braking_jerk)
+        return distance - 0.5 * top * sum(map(_length, ramps))
+
+    if spare(limits.speed) >= 0.0:
+        return limits.speed
+    return float(brentq(spare, 0.0, limits.speed, xtol=1e-14 * limits.speed, rtol=1e-13))
+
+
+def _cubic(c: Array, t: Array) -> Array:
+    """Cubics with coefficients (m, 4) at times (m)."""
+    out: Array = c[:, 0] + t * (c[:, 1] + t * (c[:, 2] + t * c[:, 3]))
+    return out
+
+
+def _steady(c: Any, lag: float) -> tuple[Any, Any, Any, Any]:
+    """Coefficients (4) of how a first-order system follows a cubic (4), numbers or arrays of them, once its own motion has faded."""
+    # u - T Du + T² D²u - T³ D³u solves T Dx + x = u
+    c0, c1, c2, c3 = c
+    return (
+        c0 - lag * (c1 - 2.0 * lag * (c2 - 3.0 * lag * c3)),
+        c1 - 2.0 * lag * (c2 - 3.0 * lag * c3),
+        c2 - 3.0 * lag * c3,
+        c3,
+    )

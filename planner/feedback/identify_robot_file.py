@@ -1,0 +1,191 @@
+"""Copies of robots' files with the limits that a recording has shown, and what they were measured from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError, OutputError
+from planner.base.results import digest
+from planner.base.shipped import ROBOTS
+from planner.base.signals import interruptions_held
+from planner.cell.cell import Cell
+from planner.cell.robot import Robot, read_robot
+from planner.cell.robot_file import RobotFile, read_robot_file
+from planner.feedback.identify_delay import JointDelay
+from planner.feedback.identify_fit import QUANTITIES, Identified, JointFit
+from planner.problem import Problem
+from planner.problem.rewrite import Value, with_values
+
+FIELDS = ("speed_rad_s", "acceleration_rad_s2", "jerk_rad_s3")  # of a robot's file, of QUANTITIES
+DIGITS = 4  # significant, of what is written: more than any recording tells
+
+
+@dataclass(frozen=True)
+class MeasuredRobot:
+    """One robot of a cell: its file, what it does there, and of its joints (k of them, all in their order) those of the
+    cell (index), or None for one that does not move there."""
+
+    path: Path
+    robot: Robot
+    does: str
+    joints: tuple[int | None, ...]
+
+    def target(self, folder: Path) -> Path:
+        """The copy's place in a folder."""
+        return folder / f"{self.path.stem.removesuffix('_measured')}_{self.does}measured.yaml"
+
+
+def robots_of(problem: Problem, cell: Cell) -> list[MeasuredRobot]:
+    """The robots of a cell: the arm, what carries it, what holds the part."""
+    spec, na = problem.cell, len(cell.arm)
+    names = {name: cell.own.start + k for k, name in enumerate(cell.arm.names[cell.own])}
+    out = [_measured(spec.arm, "", names)]
+    if spec.carrier is not None and cell.carrier is not None and cell.carrier.free:
+        out.append(_measured(spec.carrier.robot, "", {name: k for k, name in enumerate(cell.carrier.free)}))
+    if spec.positioner is not None:
+        # two arms of one kind have limits, and a file, each of its own
+        does = "positioner_" if spec.positioner.robot == spec.arm else ""
+        out.append(_measured(spec.positioner.robot, does, {name: na + k for k, name in enumerate(cell.holder.names)}))
+    return out
+
+
+def _measured(named: str | Path, does: str, joints: Mapping[str, int]) -> MeasuredRobot:
+    path = named if isinstance(named, Path) else ROBOTS / f"{named}.yaml"
+    robot = read_robot(path)
+    return MeasuredRobot(path, robot, does, tuple(joints.get(name) for name in robot.joint_names))
+
+
+def check_targets(robots: Sequence[MeasuredRobot], folder: Path) -> None:
+    """Raises OutputError where a copy is there already."""
+    for robot in robots:
+        if robot.target(folder).exists():
+            raise OutputError(f"{robot.target(folder)} is there already, and stays as it is: name a folder with --out")
+
+
+def usable(found: Identified) -> bool:
+    """Whether a limit is written: it is told, and is the robot's own rather than what the program had set."""
+    return found.told and not found.as_asked
+
+
+def write_measured(
+    robots: Sequence[MeasuredRobot],
+    fits: Sequence[JointFit],
+    delays: Mapping[int, JointDelay],
+    source: Path,
+    folder: Path,
+) -> list[Path]:
+    """Write a copy of each robot's file of which a limit is told; returns their paths.
+
+    source: the recording. Raises OutputError where there is a file already, or none can be written.
+    """
+    by_joint = {fit.joint: fit for fit in fits}
+    written: list[Path] = []
+    try:
+        for robot in robots:
+            own = [None if j is None else by_joint.get(j) for j in robot.joints]
+            if not any(fit is not None and any(map(usable, fit.limits)) for fit in own):
+                continue
+            text = measured_text(robot, own, delays, source, folder)
+            target = robot.target(folder)
+            folder.mkdir(parents=True, exist_ok=True)
+            with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
+                written.append(target)
+                stream.write(text)
+            read_robot(target)  # which tells what no robot may have
+    except (OSError, InputError) as error:
+        for path in written:
+            path.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OutputError(f"cannot write into {folder}: {error.strerror}") from error
+        raise
+    return written
+
+
+def measured_text(
+    robot: MeasuredRobot,
+    fits: Sequence[JointFit | None],
+    delays: Mapping[int, JointDelay],
+    source: Path,
+    folder: Path,
+) -> str:
+    """The text of a copy in a folder: the file with told limits in place of its own, comments and all else as it was."""
+    file = read_robot_file(robot.path)
+    text = _read(robot.path)
+    changes, told = _changes(robot, file, fits, source, folder)
+    lines = [
+        f"# Measured by `beadwise identify` from {source.name} (SHA-256 {digest(source)[:16]}), standard errors in brackets;",
+        "# what is not named here is as it was in the file of which this is a copy.",
+        *(
+            f"# {name}: {_joint_words(fit, delays.get(fit.joint))}"
+            for name, fit in zip(robot.robot.joint_names, fits, strict=True)
+            if fit is not None
+        ),
+    ]
+    line = file.source.line((FIELDS[1],))
+    if line is None:
+        raise InputError(f"{FIELDS[1]} has no line of its own", file=robot.path)
+    # from below to above, so that lines keep their numbers until they are used
+    rows = text.splitlines(keepends=True)
+    end = "\r\n" if rows[0].endswith("\r\n") else "\n"
+    rows.insert(line - 1, end.join([*lines, ""]))
+    return with_values("".join(rows), {**changes, "measured": told})
+
+
+def _changes(
+    robot: MeasuredRobot, file: RobotFile, fits: Sequence[JointFit | None], source: Path, folder: Path
+) -> tuple[dict[str, Value], str]:
+    """Fields of the copy with their values, and which limits are measured, in words."""
+    changes: dict[str, Value] = {}
+    told: list[str] = []
+    assumed = list(file.texts("assumed"))
+    old: tuple[Array, ...] = (robot.robot.model.velocityLimit, robot.robot.acceleration, robot.robot.jerk)
+    for k, (field, before) in enumerate(zip(FIELDS, old, strict=True)):
+        values = [float(f"{value:.{DIGITS + 2}g}") for value in before]
+        of = []
+        for i, fit in enumerate(fits):
+            if fit is not None and usable(fit.limits[k]):
+                values[i] = float(f"{fit.limits[k].value:.{DIGITS}g}")
+                of.append(robot.robot.joint_names[i])
+        if not of:
+            continue
+        changes[field] = values
+        told.append(f"{field} of {', '.join(of) if len(of) < len(fits) else 'all joints'}")
+        if len(of) == len(fits) and field in assumed:
+            assumed.remove(field)
+    if "assumed" in file.data:
+        changes["assumed"] = assumed
+    urdf = file.data["urdf"]
+    if isinstance(urdf, str) and not Path(urdf).is_absolute():
+        changes["urdf"] = Path(os.path.relpath(file.urdf().resolve(), folder.resolve())).as_posix()
+    earlier = f"; before: {robot.robot.measured}" if robot.robot.measured else ""
+    return changes, f"{'; '.join(told)}; from {source.name}{earlier}"
+
+
+def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
+    """What one joint's moves say, in a line."""
+    parts = [f"{what} {_limit_words(found)}" for what, found in zip(QUANTITIES, fit.limits, strict=True)]
+    if delay is not None:
+        parts.append(
+            f"follows {1e3 * delay.total:.1f} ms late: delay {1e3 * delay.delay:.1f} ({1e3 * delay.delay_error:.1f}) ms, "
+            f"lag {1e3 * delay.lag:.1f} ({1e3 * delay.lag_error:.1f}) ms"
+        )
+    return f"{', '.join(parts)}; {fit.moves} moves"
+
+
+def _limit_words(found: Identified) -> str:
+    if not found.told:
+        return f"not reached, at least {found.value:.3g}"
+    words = f"{found.value:.{DIGITS}g} ({100.0 * found.error / found.value:.2g} %)"
+    return f"{words}, as asked" if found.as_asked else words
+
+
+def _read(path: Path) -> str:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            return stream.read()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("cannot be read any more", file=path) from error
