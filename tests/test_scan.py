@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scan import Truth, scanned
@@ -284,6 +285,27 @@ def test_what_is_too_far_off_is_not_fitted() -> None:
         fit_cloud(top, cloud() + 0.5, FREEDOMS, WRONG)
     with pytest.raises(InputError, match=r"mm and .* degrees from the layer's top"):
         fit_cloud(top, cloud() + np.array([0.0, 0.0, 11e-3]), FREEDOMS, WRONG)
+
+
+def surroundings() -> Array:
+    """What a scanner sees besides a layer of the honeycomb: the bare dome between its beads, and the bed around it."""
+    random, top = np.random.default_rng(2), planned_top(drawn()[1], SCANNED)
+    way = random.standard_normal((150_000, 3))
+    dome = 0.05 * way / np.linalg.norm(way, axis=1)[:, None] + [0.0, 0.0, -0.02]
+    dome = dome[(dome[:, 2] > 0.0) & (np.hypot(*dome[:, :2].T) < 0.02)]
+    near = cKDTree(top.points).query(dome)[1]
+    aside = np.linalg.norm(np.cross(dome - top.points[near], top.normals[near]), axis=1)
+    plane = random.uniform(-0.2, 0.2, (100_000, 2))
+    bed = np.column_stack([plane, np.zeros(len(plane))])[np.hypot(*plane.T) > 0.046]
+    return np.vstack([dome[aside > 0.3e-3], bed])
+
+
+def test_what_lies_around_the_beads_does_no_harm_but_to_a_fit() -> None:
+    top = planned_top(drawn()[1], SCANNED)
+    whole = np.vstack([surroundings(), cloud()])
+    assert np.array_equal(height_map(top, whole, RADIUS, WRONG).smoothed, mapped().smoothed)
+    with pytest.raises(InputError, match=r"% on the layer's beads"):
+        fit_cloud(top, displaced(whole, (0.5, 0.5, 0.5), (1.0, 1.0, 0.5)), FREEDOMS, WRONG)
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ _STILL = 1e-7  # m: a step as small as this is the last one
 _TUKEY = 4.685  # robust deviations, from which on a residual has no weight
 _LEAST = 0.03e-3  # m of robust deviation: a print is not exacter
 _FEWEST = 100  # points that must find places
+_ON_BEADS = 0.6  # share of those that must lie on beads in the end
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,13 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
     Raises InputError, made by `complain`, where too few points are near the top, or it would take more than FARTHEST or
     MOST_TURNED.
     """
-    some = cloud[:: max(1, len(cloud) // _ENOUGH)]
     tree = cKDTree(top.points)
+    around = cloud[np.isfinite(tree.query(cloud, distance_upper_bound=_REACH[0])[0])]
+    some = around[:: max(1, len(around) // _ENOUGH)]
     unknowns = looked_for(free, np.zeros((3, 0)), False, top.middle)
     placement = Placement(np.eye(4), np.zeros(3))
     still = np.eye(4)[None]
-    hidden, spread = np.zeros((len(free), 0)), 0.0
+    hidden, spread, on_beads = np.zeros((len(free), 0)), 0.0, 0.0
     for reach in _REACH:
         for _ in range(_ROUNDS):
             points = placement.seen(some, np.broadcast_to(still, (len(some), 4, 4)))
@@ -66,7 +68,7 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
                 )
             points, near = points[there], near[there]
             residual, way = _off(top, points, near)
-            heights = residual[: len(points)]
+            heights, on_beads = residual[: len(points)], float((residual[len(points) :] <= 0.0).mean())
             spread = max(robust(heights), _LEAST)
             off = np.abs(residual - np.repeat([np.median(heights), 0.0], len(points)))
             weight = np.clip(1.0 - (off / (_TUKEY * spread)) ** 2, 0.0, 1.0) ** 2
@@ -81,6 +83,11 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
             placement = placement.moved(unknowns.step(seen @ z), unknowns.centre)
             if np.linalg.norm(z) < _STILL:
                 break
+    if on_beads < _ON_BEADS:
+        reason = f"is {on_beads:.0%} on the layer's beads, of what is near them: the rest leads a fit astray"
+        raise complain(
+            reason, hint=f"at least {_ON_BEADS:.0%}: cut away what lies between and around beads, or do without --fit"
+        )
     return _judged(placement, cloud, unknowns.centre, tuple(words(unknowns, hidden)), spread, complain)
 
 

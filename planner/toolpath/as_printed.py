@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -154,9 +155,7 @@ def printed_beads(problem: Problem, toolpath: Toolpath) -> int:
     if problem.as_printed is None:
         return 0
     layers = [bead.layer for bead in toolpath.beads]
-    return beads_up_to(layers, problem.as_printed.after_layer, lambda *told, **more: problem.error(
-        "as_printed.after_layer", *told, **more
-    ))  # fmt: skip
+    return beads_up_to(layers, problem.as_printed.after_layer, partial(problem.error, "as_printed.after_layer"))
 
 
 def beads_up_to(layers: Sequence[int], last: int, complain: Complaint) -> int:
@@ -192,7 +191,7 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     if spec.most > MOST_SHARE * least:
         reason = f"is more than half of a bead, which is {least * 1e3:g} mm high"
         raise problem.error("as_printed.most_mm", reason, f"at most {MOST_SHARE * least * 1e3:g}")
-    field = read_map(spec.map, spec.smoothing, lambda *told, **more: problem.error("as_printed.map", *told, **more))
+    field = read_map(spec.map, spec.smoothing, partial(problem.error, "as_printed.map"))
     beads = tuple(_moved(problem, field, bead) for bead in toolpath.beads)
     off = field.at(field.points, field.normals)
     over = left(off, spec.most, toolpath.layers - spec.after_layer)
