@@ -46,7 +46,7 @@ class MatchedLog(ReadOnlyArrays):
 
 
 @dataclass(frozen=True)
-class Rests:
+class RecordedRests:
     """Stretches in which all joints stand: first and last sample (r, 2), mean postures (r, n) of their quiet middles."""
 
     ends: Ints
@@ -78,12 +78,12 @@ def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
     for reading, q in tried:
         rests = find_rests(log.time, q, asked)
         if (first := _aligned(rests, asked)) is not None:
-            return _matched(log, asked, reading, q, Rests(*_cut(rests, first, len(asked.moves) + 1)))
+            return _matched(log, asked, reading, q, RecordedRests(*_cut(rests, first, len(asked.moves) + 1)))
     reading, q = tried[0]
     raise _misfit(log, asked, q, find_rests(log.time, q, asked))
 
 
-def find_rests(time: Array, q: Array, asked: AskedMoves) -> Rests:
+def find_rests(time: Array, q: Array, asked: AskedMoves) -> RecordedRests:
     """Stretches of a recording in which all joints q (m, n) [rad, m] stand, those with one posture joined."""
     step = float(np.median(np.diff(time)))
     count = min(max(round(SPAN / step), 3), len(q) // 4)
@@ -101,14 +101,14 @@ def find_rests(time: Array, q: Array, asked: AskedMoves) -> Rests:
     return _joined(ends, postures, _tolerances(asked, SAME))
 
 
-def _joined(ends: Ints, postures: Array, same: Array) -> Rests:
+def _joined(ends: Ints, postures: Array, same: Array) -> RecordedRests:
     """Rests that follow each other at one posture are one: something shook the robot there."""
     if not len(ends):
-        return Rests(ends, postures)
+        return RecordedRests(ends, postures)
     begins = np.append(True, (np.abs(np.diff(postures, axis=0)) > same).any(axis=1))
     first = np.flatnonzero(begins)
     last = np.append(first[1:], len(ends)) - 1
-    return Rests(np.column_stack([ends[first, 0], ends[last, 1]]), postures[first])
+    return RecordedRests(np.column_stack([ends[first, 0], ends[last, 1]]), postures[first])
 
 
 def _runs(flags: Flags) -> Ints:
@@ -149,7 +149,7 @@ def _readings(log: RobotLog, asked: AskedMoves) -> Iterator[LogReading]:
             yield LogReading(asked.signs * scale, -asked.signs * asked.offsets, (said, words) if said else (words,))
 
 
-def _aligned(rests: Rests, asked: AskedMoves) -> int | None:
+def _aligned(rests: RecordedRests, asked: AskedMoves) -> int | None:
     """The rest with which the asked moves begin; None where they are not all there, one after another."""
     wanted, same = asked.postures, _tolerances(asked, SAME)
     spare = len(rests) - len(wanted)
@@ -157,11 +157,11 @@ def _aligned(rests: Rests, asked: AskedMoves) -> int | None:
     return next(fits, None)
 
 
-def _cut(rests: Rests, first: int, count: int) -> tuple[Ints, Array]:
+def _cut(rests: RecordedRests, first: int, count: int) -> tuple[Ints, Array]:
     return rests.ends[first : first + count], rests.postures[first : first + count]
 
 
-def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, rests: Rests) -> MatchedLog:
+def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, rests: RecordedRests) -> MatchedLog:
     middles = [_middle(first, last) for first, last in rests.ends]
     first, last = int(rests.ends[0, 0]), int(rests.ends[-1, 1])
     _check_clock(log, middles[0].start, middles[-1].stop)
@@ -242,7 +242,7 @@ def _commanded(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, 
 _MOST_NAMED = 3  # joints in one sentence
 
 
-def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: Rests) -> InputError:
+def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: RecordedRests) -> InputError:
     """What is wrong with a recording in which the asked moves are not found."""
     hint = "name the columns as they are"
     for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
@@ -290,7 +290,7 @@ def _other_zero(asked: AskedMoves, found: Array) -> str | None:
     return f"joints are counted otherwise: {', '.join(words[:_MOST_NAMED])}{more}"
 
 
-def _another_program(log: RobotLog, asked: AskedMoves, rests: Rests) -> InputError:
+def _another_program(log: RobotLog, asked: AskedMoves, rests: RecordedRests) -> InputError:
     """How far the recording is that of the program, and where it leaves it."""
     wanted, same = asked.postures, _tolerances(asked, SAME)
     held = np.zeros(len(rests), dtype=np.int64)
