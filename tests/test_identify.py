@@ -539,6 +539,19 @@ def test_recordings_are_read_as_tools_write_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(_matched(tmp_path, bare, asked, names).postures, asked.postures, atol=2e-4)
 
 
+def test_what_is_recorded_before_and_behind_the_program_does_not_matter(tmp_path: Path) -> None:
+    asked, recording = sample()
+    _, cell = cell_of("cylinder_logo")
+    way = np.radians(7.0) * np.sin(np.linspace(0.0, 0.5 * np.pi, 500))[:, None] * np.ones(7)
+    first, last = recording.executed[:100], recording.executed[-100:]
+    before = np.concatenate([first[:1] + way[-1:].repeat(150, axis=0), first[:1] + way[::-1]])
+    q = np.concatenate([before, recording.executed, last[-1:] + way, last + way[-1]])
+    made = Recording(0.004 * np.arange(len(q)), q, q)
+    log = match(read_log(write_recording(tmp_path / "run.csv", made, header(cell)), cell), asked)
+    assert len(log.rests) == len(asked.moves) + 1 and log.rests[0, 0] >= len(before)
+    np.testing.assert_allclose(log.postures, asked.postures, atol=2e-4)
+
+
 SIX = tuple(f"q_{k}" for k in range(6))
 
 

@@ -251,7 +251,10 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
             )  # fmt: skip
             out.append(f"{name}: {left:.2g} {unit} are left that no limits explain; at rest it is less")
         if fit.lag > 0.0:
-            out.append(f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms")
+            out.append(
+                f"{name} follows its profile with a lag of {1e3 * fit.lag:.1f} ms, without which its jerk is told: "
+                "a recording with commands would tell them apart better"
+            )
         if name in problem.cell.limits:
             out.append(f"{name}: cell.limits of the problem stand above what the robot's file says")
     return out

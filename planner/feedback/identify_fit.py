@@ -27,6 +27,7 @@ KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 
 VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
 VAGUE_MOVE = 0.5  # of one move's, around what all moves have
 DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
+MOST_APART = 2.5  # times the least, from which moves tell nothing together
 LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
 UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
 MOST_UNEVEN = 0.02  # s from even samples to their stamps
@@ -348,8 +349,16 @@ def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Arr
         residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
     )
     squares = float((found.fun[:count] ** 2).sum())
-    scale = max(1.0, squares / max(count - len(found.x), 1))
+    scale = max(1.0, squares / max(count - len(found.x), 1)) * _repeated(found.fun[:count])
     return _Solved(model, found.x[:n], found.x[n:], _errors(found.jac, scale)[:n], squares, count)
+
+
+def _repeated(residuals: Array) -> float:
+    """How many samples say what one says alone: residuals that follow each other are not noise, but what a profile misses."""
+    squares = float(residuals @ residuals)
+    alike = float(residuals[1:] @ residuals[:-1]) / squares if squares > 0.0 else 0.0
+    alike = float(np.clip(alike, 0.0, 0.999))
+    return (1.0 + alike) / (1.0 - alike)
 
 
 def _errors(jacobian: Array, scale: float) -> Array:
@@ -443,19 +452,19 @@ def _by_move(
     }
     lag = min(alone, key=lambda each: sum(scale for _, _, scale in alone[each]))
     found: list[list[tuple[float, float]]] = [[], [], []]
-    for move, own, (limits, errors, scale) in zip(moves, _levels(moves), alone[lag], strict=True):
+    for move, own, (limits, errors, _) in zip(moves, _levels(moves), alone[lag], strict=True):
         cruises, speeds_up, brakes = _reached(move_profile(move.distance, limits))
         shown = (cruises and own == 0, speeds_up and brakes, True)
         of_move = (limits.speed, limits.acceleration, limits.jerk)
         for values, value, error, is_shown in zip(found, of_move, errors.tolist(), shown, strict=True):
-            if is_shown and error < KNOWN and scale < DIFFER**2:
+            if is_shown and error < KNOWN:
                 values.append((value, error))
     return (_least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])), lag
 
 
 def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
     """The least of some moves' limits, given with the standard errors of their logarithms; their mean where they agree;
-    what was reached where fewer than two are known."""
+    what was reached where fewer than two are known, or they are too far apart to be those of one robot."""
     if len(found) < 2:
         return Identified(shared.value, float("nan"), shared.spread, shared.asked)
     values, errors = np.array(found).T
@@ -466,6 +475,8 @@ def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identifi
         value, error = float(np.exp(mean)), float(np.sqrt(max(apart, 1.0) / weights.sum()))
         return Identified(value, value * max(error, LEAST_ERROR), (value, value), shared.asked)
     low, high = float(values.min()), float(values.max())
+    if high > MOST_APART * low:
+        return Identified(low, float("nan"), (low, low), shared.asked)
     return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
 
 
@@ -487,5 +498,6 @@ def _solve_one(
     found = least_squares(
         residuals, np.append(start, at), x_scale=[1.0, 1.0, 1.0, 0.01], max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
     )
-    scale = max(1.0, float((found.fun[: len(move.time)] ** 2).sum()) / max(len(move.time) - 4, 1))
-    return limits(found.x), _errors(found.jac, scale)[:3], scale
+    left = found.fun[: len(move.time)]
+    scale = max(1.0, float(left @ left) / max(len(left) - 4, 1))
+    return limits(found.x), _errors(found.jac, scale * _repeated(left))[:3], scale
