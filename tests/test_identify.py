@@ -470,6 +470,7 @@ def test_limits_that_the_program_had_set_are_told_as_asked(tmp_path: Path) -> No
 # Delays
 
 
+@pytest.mark.slow(keep=("0.012-0.02",))
 @pytest.mark.parametrize(("delay", "lag"), [(0.033, 0.0), (0.012, 0.02), (0.0, 0.045), (0.1, 0.01)])
 def test_delays_are_found_within_a_fraction_of_a_sample(tmp_path: Path, delay: float, lag: float) -> None:
     _, cell = cell_of("cylinder_logo")

@@ -261,6 +261,7 @@ def displaced(x: Array, degrees: tuple[float, float, float], shift_mm: tuple[flo
     return np.asarray((x - middle) @ turn.T + middle + np.array(shift_mm) * 1e-3)
 
 
+@pytest.mark.slow
 def test_a_displaced_cloud_is_fitted() -> None:
     toolpath = build_toolpath(load_problem("hemisphere_honeycomb", ["layers.count=2"]))
     top, x = planned_top(toolpath, 2), scanned(toolpath, 2)
