@@ -24,10 +24,10 @@ from benchmarks.browser import chromium
 from planner.base.shipped import PROBLEMS
 from planner.planning.options import add_set
 
-SPEEDS = (40.0, 39.0, 38.0, 37.0, 36.0, 35.0)  # mm/s, one after the other
+SPEEDS = (40.0, 39.0, 38.0, 37.0, 36.0)  # mm/s, one after the other
 SIZE = {"width": 1366, "height": 900}
 PATIENCE = 600.0  # s for one solve
-LOOK = 0.02  # s between looks
+LOOK = 0.1  # s between looks, which take time from the solver
 SHOWN = """() => {
   const frame = document.querySelector("iframe:not(.coming)");
   const draft = document.querySelector(".draft");

@@ -1,5 +1,6 @@
 // The page: the scene first, for it is what is looked at; then the charts.
 const by = (id) => document.getElementById(id);
+const SHOWN_TIME = 400;  // ms in which another page shows the first picture, before the charts take the time
 
 function sceneFails(why) {
   by("view").hidden = true;
@@ -151,7 +152,9 @@ async function start() {
       sceneFails(String(error.message || error));
     }
   }
-  await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));  // the first picture before the charts
+  talkToParent(scene);  // who waits for this report sees it as soon as there is a picture
+  const shown = window.parent === window ? 0 : SHOWN_TIME;
+  await new Promise((done) => requestAnimationFrame(() => setTimeout(done, shown)));  // the first picture before the charts
   if (page.charts.length) {
     await library("plotly-source");
     const clicked = (t) => scene && scene.player && scene.seek(t);
@@ -163,6 +166,5 @@ async function start() {
   performance.mark("all drawn");
   if (scene) scene.opens();
   root.dataset.ready = "yes";
-  talkToParent(scene);
 }
 start();

@@ -30,6 +30,7 @@ from planner.view.machine import figures_of
 DRAFT_FROM = 3_000  # waypoints from which a draft of one layer comes first: below, the whole takes but some seconds
 # Read past sys.stdin: a thread that waits in it holds its lock, and a forked worker, which closes it, would wait for ever.
 STDIN, LONGEST_PIECE = 0, 4096
+BEHIND = 10  # of priorities that the whole print is solved with, after its draft
 Say = Callable[..., None]
 
 
@@ -59,6 +60,7 @@ def run(job: dict[str, Any], say: Say) -> None:
         if draft:
             one = load_problem(job["problem"], [*overrides, "layers.count=1"])
             _solve(one, job["strategy"], folder / "draft", draft, say)
+            os.nice(BEHIND)  # the browser draws the draft meanwhile
         _solve(problem, job["strategy"], folder / "whole", "", say)
     except PlannerError as error:
         say(mistake=asdict(mistake_of(error)))
