@@ -9,6 +9,7 @@ new report's scene is drawn in a headless browser, which draws by the processor 
 from __future__ import annotations
 
 import argparse
+import re
 import shutil
 import subprocess
 import sys
@@ -62,7 +63,7 @@ def _times(page: Page, file: Path, before: float, speed: float) -> tuple[float, 
     """Save another speed, and wait for its pictures."""
     shown = str(page.evaluate(SHOWN)[0])
     text = file.read_text(encoding="utf-8")
-    changed = text.replace(f"  speed_mm_s: {before:g}\n", f"  speed_mm_s: {speed:g}\n")
+    changed = re.sub(rf"(?m)^  speed_mm_s: {before:g}\b", f"  speed_mm_s: {speed:g}", text)
     if changed == text:
         raise ValueError(f"{file.name} has no line speed_mm_s: {before:g}")
     file.write_text(changed, encoding="utf-8")

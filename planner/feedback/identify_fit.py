@@ -1,11 +1,10 @@
 """Limits of a joint from its recorded moves: jerk-limited profiles, fitted by least squares rather than differentiated.
 
 All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
-ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain
-more than chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a
-model, 1978). Where one
-set of limits does not explain all moves, as with an arm whose drives are asked more in one posture than in another, each
-move is fitted by itself, and the least limits are told.
+ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain more than
+chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a model,
+1978). Where one set of limits does not explain all moves, as with an arm whose drives have to do more in one posture than
+in another, each move is fitted by itself, and the least limits are told.
 """
 
 from __future__ import annotations

@@ -64,10 +64,10 @@ def build_toolpath(problem: Problem) -> Toolpath:
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
-    if problem.process.skirt is not None:
-        from planner.toolpath.skirt import with_skirt  # shapely takes a third of a second to load
+    if (spec := problem.process.skirt) is not None:
+        from planner.toolpath.skirt import with_skirt  # with shapely, which is slow to import
 
-        toolpath = with_skirt(problem, toolpath)
+        toolpath = with_skirt(problem, toolpath, spec)
     check_laid(problem, toolpath)
     check_layers(problem, toolpath)
     toolpath = on_what_is_printed(problem, toolpath)

@@ -23,15 +23,11 @@ _ARC = 32  # pieces of a quarter of a circle: a line 50 mm away leaves its circl
 _CHORD = 1e-5  # m by which outlines may be thinned out
 
 
-def with_skirt(problem: Problem, toolpath: Toolpath) -> Toolpath:
-    """The toolpath with the lines around its first layer before all others, from the outside in; as it is where none are asked
-    for.
+def with_skirt(problem: Problem, toolpath: Toolpath, spec: SkirtSpec) -> Toolpath:
+    """The toolpath with the lines around its first layer before all others, from the outside in.
 
     Raises InputError for a first layer that is not level: what lies beside it there is no bed.
     """
-    spec = problem.process.skirt
-    if spec is None:
-        return toolpath
     layer = min(bead.layer for bead in toolpath.beads)
     first = [bead for bead in toolpath.beads if bead.layer == layer]
     z = np.concatenate([bead.points[:, 2] for bead in first])
