@@ -42,7 +42,7 @@ HEAVY = {
     "osqp": {"resolve.reference"},
     "toppra": {"motion.timing.toppra_profile"},
     "jinja2": {"report.templates"},
-    "matplotlib": {"report", "place.command", "register.telling", "feedback.scan_telling"},
+    "matplotlib": {"report", "place.command", "register.telling", "feedback.learn_telling", "feedback.scan_telling"},
     "plotly": set(),
     "tornado": {"view.server"},
     "distributed": {"base.distribution"},

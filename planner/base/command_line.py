@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shutil
 import sys
 import textwrap
@@ -156,3 +157,14 @@ def one_of(names: Sequence[str]) -> Callable[[str], str]:
         raise argparse.ArgumentTypeError(f"{text!r} is unknown: {meant}choices: {', '.join(names)}")
 
     return check
+
+
+def number_within(text: str, low: float, high: float, what: str) -> float:
+    """A number from low to high; of an option's type. Raises ArgumentTypeError, which says what it should be."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:g} to {high:g}")
+    return value

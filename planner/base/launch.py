@@ -41,6 +41,9 @@ COMMANDS = {
         "planner.feedback.identify_command", "find limits and delays of a robot in the recording of a test program"
     ),
     "scan": CommandModule("planner.feedback.scan_command", "the rest of a print, laid on what a scan finds of it"),
+    "learn": CommandModule(
+        "planner.feedback.learn_command", "a program corrected by what the robot did in its last run"
+    ),
     "view": CommandModule("planner.view.command", "a report in the browser, made anew when its problem is saved"),
     "link": CommandModule("planner.link.command", "send a program to its controller, and watch it run"),
     "stream": CommandModule("planner.link.streaming", "send moves to a controller while it runs them"),

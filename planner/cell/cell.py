@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import Refusal, nearest_name
 from planner.cell.bodies import fixture_bodies, head_bodies
 from planner.cell.carrier import Carrier, carried_arm, in_words
@@ -21,6 +21,7 @@ from planner.cell.solids import Body
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, PositionerSpec
 
+REVOLUTION = 2.0 * np.pi
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
 LIMIT_ROOM = 0.07  # rad, m from the ends of joints' ranges that a search keeps: what moves between its rungs needs it
 LEAST_ROOM = 0.01  # the same where a search finds no way with that
@@ -197,6 +198,27 @@ class Cell:
         T_world_nozzle = self.arm.poses(q[:, :na])
         T_world_part = self.holder.poses(q[:, na:])
         return rigid_inverse(T_world_part) @ T_world_nozzle
+
+    def postures(self, T_part_nozzle: Array, near: Array, branch: Indices) -> tuple[Array, Flags]:
+        """Joints (m, n) that hold the nozzle at poses (m, 4, 4), and whether they exist (m); `near` (m, n) where they do not.
+
+        All that is chosen is as `near` has it, the branch (m) as given, each joint in the turn that is nearest.
+        """
+        na, given = len(self.arm), list(self.given)
+        T_base_flange = (
+            np.linalg.inv(self.T_world_base)
+            @ self.holder.poses(np.ascontiguousarray(near[:, na:]))
+            @ T_part_nozzle
+            @ np.linalg.inv(self.T_flange_nozzle)
+        )
+        found, exist = self.inverse.solve(T_base_flange, np.ascontiguousarray(near[:, given]) if given else None)
+        each = np.arange(len(near))
+        off = found[each, branch] - near[:, :na]
+        off -= np.where(self.limits.turns[:na], REVOLUTION * np.round(off / REVOLUTION), 0.0)
+        there = exist[each, branch]
+        out = near.copy()
+        out[:, :na] += np.where(there[:, None], off, 0.0)
+        return out, there
 
 
 def near_ends(cell: Cell) -> Cell:

@@ -10,14 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array, Indices
+from planner.base.nearest import distance_to_polyline
 from planner.export.controllers import ControllerLimits
+from planner.export.player.executed import executed_run
 from planner.export.player.path import deviation
 from planner.export.player.play import play
-from planner.export.player.played import TIMES, Played, laid_moves
+from planner.export.player.played import TIMES, Played, laid_moves, laid_spans
 from planner.export.program import RobotProgram
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
+    from planner.plan import Trajectory
 
 FORECAST = "forecast.json"  # the file of a results folder
 FORMAT = "beadwise forecast 1"
@@ -41,6 +44,7 @@ class Forecast:
     closest      least time between two targets on a bead; nearest: the move that takes it, -1 without beads
     close        how many moves on beads are shorter than is warned of
     warnings     what is beyond the controller's known limits, in words
+    of_plan      off is from the plan and not from the lines, which are beside it as runs have taught
     """
 
     controller: str
@@ -60,6 +64,7 @@ class Forecast:
     nearest: int
     close: int
     warnings: tuple[str, ...]
+    of_plan: bool = False
 
     @property
     def words(self) -> tuple[str, ...]:
@@ -70,7 +75,7 @@ class Forecast:
         return (
             f"{self.controller}{model}: {1e3 * self.mean:.1f} mm/s on beads of {1e3 * self.programmed:.1f} programmed, "
             f"at least {1e3 * self.least:.1f}; {100 * self.share:.1f} % of their length at speed (within 2 %); "
-            f"at most {1e3 * self.off:.2f} mm off the lines",
+            f"at most {1e3 * self.off:.2f} mm off {'the plan, as learned' if self.of_plan else 'the lines'}",
             f"{self.targets} targets; on beads {self.per_second:.0f} a second, {self.most} in the second with most, "
             f"the closest after {1e3 * self.closest:.1f} ms",
             *(f"WARNING: {warning}" for warning in self.warnings),
@@ -105,9 +110,35 @@ def forecast_json(found: Mapping[str, Forecast]) -> str:
     return json.dumps({"format": FORMAT, "forecasts": table}, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def forecast(program: RobotProgram, cell: Cell, controller: ControllerLimits) -> Forecast:
-    """What a controller makes of a program. Raises InputError for one that cannot be played."""
-    return judged(program, play(program, cell, controller.motion), controller)
+def forecast(
+    program: RobotProgram, cell: Cell, controller: ControllerLimits, planned: Trajectory | None = None
+) -> Forecast:
+    """What a controller makes of a program. Raises InputError for one that cannot be played.
+
+    planned: where the program asks for something else, the motion that is to come of it
+    """
+    played = play(program, cell, controller.motion)
+    found = judged(program, played, controller)
+    return (
+        found
+        if planned is None
+        else replace(found, off=_off_plan(program, played, cell, controller, planned), of_plan=True)
+    )
+
+
+def _off_plan(
+    program: RobotProgram, played: Played, cell: Cell, controller: ControllerLimits, planned: Trajectory
+) -> float:
+    """Greatest distance [m] of the executed tip from the planned path of the bead that it lays."""
+    run, t = executed_run(program, played, controller.motion), planned
+    tip = cell.T_part_nozzle(np.ascontiguousarray(run.q))[:, :3, 3]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
+    worst = 0.0
+    for (on, off), (first, last) in zip(laid_spans(played), edges, strict=False):
+        own = tip[(run.t >= on) & (run.t <= off)]
+        path = t.tip[max(first - 1, 0) : last + 1]  # the bead begins up to a sample before the first that lays it
+        worst = max(worst, float(distance_to_polyline(own, path).max(initial=0.0)))
+    return worst
 
 
 def judged(program: RobotProgram, played: Played, controller: ControllerLimits) -> Forecast:

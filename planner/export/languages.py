@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol, cast
 
@@ -12,6 +12,7 @@ from planner.export.support import (
     unsupported_in_axes,
     unsupported_in_fanuc,
     unsupported_in_inform,
+    unsupported_in_joint_trajectory,
     unsupported_in_kawasaki,
     unsupported_in_krl,
     unsupported_in_melfa,
@@ -52,7 +53,8 @@ class Language:
     counted: bool = False
 
     def plan(self, plan: Plan) -> Plan:
-        """The plan with the joints that programs in this language speak of."""
+        """The plan with the motion that programs ask for, and the joints that those in this language speak of."""
+        plan = plan if plan.asked is None else replace(plan, trajectory=plan.asked, asked=None)
         return plan.as_counted if self.counted else plan
 
     def write(self, plan: Plan) -> dict[str, str]:
@@ -85,7 +87,7 @@ LANGUAGES: dict[str, Language] = {
     "val3": Language("VAL3", "val3", unsupported_in_val3, counted=True),
     "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki, counted=True),
     "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa, counted=True),
-    "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", _always),
+    "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", unsupported_in_joint_trajectory),
     "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes),
     "extruder": Language("the extruder's G-code", "extruder", _always),
 }

@@ -195,7 +195,6 @@ def _sliding_maximum(values: Array, width: int) -> Array:
 # Postures of targets that are turned a little, which may lie beyond the border of a configuration.
 
 BLOCK = 20_000  # poses whose postures are sought at once: bounds the memory
-REVOLUTION = 2.0 * np.pi
 
 
 def reached(plan: Plan, sample: Indices, targets: Poses, turned: Flags) -> Array:
@@ -208,20 +207,13 @@ def reached(plan: Plan, sample: Indices, targets: Poses, turned: Flags) -> Array
     out: Array = t.q[sample]
     if len(cell.given) > rails:
         return out
-    T_world_base, T_nozzle_flange = np.linalg.inv(cell.T_world_base), np.linalg.inv(cell.T_flange_nozzle)
     which = np.flatnonzero(turned)
     for rows in np.array_split(which, 1 + len(which) // BLOCK):
         T = np.tile(np.eye(4), (len(rows), 1, 1))
         T[:, :3, :3], T[:, :3, 3] = to_matrix(targets.quat[rows]), targets.position[rows]
-        station = np.ascontiguousarray(targets.station[rows])
-        held = np.ascontiguousarray(station[:, rails:])
-        given = station[:, :rails] if rails else None
-        postures, exist = cell.inverse.solve(T_world_base @ cell.holder.poses(held) @ T @ T_nozzle_flange, given)
-        each, branch = np.arange(len(rows)), t.branch[sample[rows]].astype(np.intp)
-        off = postures[each, branch] - out[rows, :na]
-        off -= np.where(cell.limits.turns[:na], REVOLUTION * np.round(off / REVOLUTION), 0.0)
-        out[rows, :na] += np.where(exist[each, branch, None], off, 0.0)
-        out[rows, na:] = held
+        near, station = out[rows], targets.station[rows]
+        near[:, :rails], near[:, na:] = station[:, :rails], station[:, rails:]
+        out[rows], _ = cell.postures(T, near, t.branch[sample[rows]].astype(np.intp))
     return out
 
 

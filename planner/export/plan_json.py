@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from planner.base.shipped import PROBLEMS
 from planner.plan.plan import used
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ DIP_DECIMALS = 5  # decimals of what is said of dips
 # What the file holds, in its order.
 KEYS = {
     "problem": "name of the problem",
+    "problem_file": "its file, as it was given; null for waypoints from arrays",
     "strategy": "the strategy that planned it",
     "resolved_by": "the strategy whose paths these are: the default takes a simpler one's where that prints better",
     "first_bead": "index of the first bead that is laid; not 0 where an interrupted print is resumed",
@@ -151,6 +153,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
     ]
     data = {
         "problem": plan.problem.name,
+        "problem_file": None if plan.problem.from_arrays else _as_given(plan.problem),
         "strategy": plan.strategy,
         "resolved_by": plan.resolved_by or plan.strategy,
         "first_bead": plan.first_bead,
@@ -184,6 +187,11 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
         "files": files or {},
     }
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
+
+
+def _as_given(problem: Problem) -> str:
+    """A problem's file, or its name where it ships: wherever the package is, that says the same."""
+    return problem.file.stem if problem.file.parent == PROBLEMS else problem.file.as_posix()
 
 
 def _nearer(plan: Plan) -> dict[str, Any]:

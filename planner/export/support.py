@@ -53,6 +53,13 @@ def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
     return [outputs[names.index(bead.material)] if names else outputs[0] for bead in plan.toolpath.beads]
 
 
+def unsupported_in_joint_trajectory(setup: Setup) -> str | None:
+    """Why a message of samples does not support a problem; None if it does."""
+    if setup.problem.as_run is not None:
+        return "as_run displaces targets between which a controller plans by itself; it cannot follow such samples"
+    return None
+
+
 def unsupported_in_rapid(setup: Setup) -> str | None:
     """Why RAPID does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.holder_robot

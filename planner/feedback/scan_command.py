@@ -6,8 +6,6 @@ python -m planner.feedback.scan cylinder_logo cloud.ply --after-layer 4
 from __future__ import annotations
 
 import argparse
-import json
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.base.command_line import Command, exit_code
+from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.base.results import results_folder
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, check_size, height_map, planned_top
+from planner.feedback.planned import planned_problem
 from planner.feedback.scan_cloud import FRAMES, UNITS, in_part_frame, read_cloud
 from planner.feedback.scan_fit import CloudFit, fit_cloud
 from planner.feedback.scan_telling import (
@@ -35,10 +34,9 @@ from planner.feedback.scan_telling import (
     write_picture,
     write_problem,
 )
-from planner.plan import Plan
 from planner.planning.options import add_set, add_strategy
 from planner.planning.solve_command import main as solve_main
-from planner.problem import Problem, load_problem, shipped_problems
+from planner.problem import Problem
 from planner.problem.yaml_file import Override
 from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import MOST_SHARE, beads_up_to
@@ -49,7 +47,6 @@ RESULTS_BY = "scan"  # whose files they are, in manifests
 SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
 SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
 _LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
-_SAVED = (".npz", ".plan")
 
 
 @dataclass(frozen=True)
@@ -117,13 +114,8 @@ def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> Scanne
     Raises InputError where that cannot be found any more, or is not what was planned.
     """
     path = Path(given)
-    if path.is_dir() and given not in shipped_problems():
-        problem, planned = _of_folder(path), None
-    elif path.suffix in _SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
-        plan = Plan.load(path)
-        problem, planned = _of_plan(plan, path), plan.toolpath
-    else:
-        problem, planned = load_problem(given), None
+    problem, plan = planned_problem(given)
+    planned = None if plan is None else plan.toolpath
     problem = problem.changed(overrides)
     drawn = problem.model_copy(update={"as_printed": None})
     toolpath = build_toolpath(drawn)
@@ -135,31 +127,6 @@ def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> Scanne
     if any(bead.round for bead in toolpath.beads):
         raise InputError("prints struts in space, which have no top that others lie on", file=given)
     return ScannedPlan(problem, toolpath)
-
-
-def _of_plan(plan: Plan, path: Path) -> Problem:
-    """The problem of a plan, read again from its file."""
-    if plan.problem.from_arrays:
-        raise InputError("its waypoints are in no file", file=path, hint="plan them from a file of waypoints")
-    if not plan.problem.file.is_file():
-        raise InputError(f"its problem file {plan.problem.file} is not there any more", file=path)
-    return load_problem(plan.problem.file, plan.problem.sources.overrides)
-
-
-def _of_folder(folder: Path) -> Problem:
-    """The problem of a folder of results, of those that ship."""
-    file = folder / "plan.json"
-    try:
-        held = json.loads(file.read_text(encoding="utf-8"))
-        name, overrides = str(held["problem"]), [str(each) for each in held["settings"]["overrides"]]
-    except FileNotFoundError as error:
-        raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("is no plan.json that solve wrote", file=file) from error
-    if name not in shipped_problems():
-        hint = "give that file in place of the folder, with --set as it was planned"
-        raise InputError(f"does not hold the problem file of {name}, which does not ship", file=folder, hint=hint)
-    return load_problem(name, overrides)
 
 
 def fit_lines(fit: CloudFit | None) -> list[str]:
@@ -250,18 +217,8 @@ def _freedoms(text: str) -> tuple[str, ...]:
 
 
 def _share(text: str) -> float:
-    return _number(text, 0.01, MOST_SHARE, "a share")
+    return number_within(text, 0.01, MOST_SHARE, "a share")
 
 
 def _millimetres(text: str) -> float:
-    return _number(text, 0.1, 100.0, "a length in mm") * 1e-3
-
-
-def _number(text: str, low: float, high: float, what: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r} is not {what} from {low:g} to {high:g}")
-    return value
+    return number_within(text, 0.1, 100.0, "a length in mm") * 1e-3

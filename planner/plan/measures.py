@@ -33,6 +33,7 @@ ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may tu
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
 ONLY_SCANNED = "as_printed is given"
+ONLY_LEARNED = "as_run is given"
 ONLY_BOUNDED = (
     "process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
     "are free (positioner, rail, an arm of seven axes)"
@@ -175,6 +176,12 @@ METRICS: dict[str, Measure] = {
         "how far the top of the last layer is from where it was drawn, at most",
         "print_off_max_mm less what each layer above the scanned one makes up for",
         ONLY_SCANNED,
+    ),
+    "asked_off_max_mm": Measure(
+        "mm",
+        "how far beside the plan programs ask for the tip to be, at most, so that the robot keeps to the plan",
+        "poses of the asked joints against the executed ones, by Pinocchio",
+        ONLY_LEARNED,
     ),
     "over_print_error_max_mm": Measure(
         "mm",
@@ -412,6 +419,46 @@ CHECKS: dict[str, Measure] = {
         "on the first layer above the scanned one the nozzle is as high over what is there as its bead is to be",
         "see over_print_error_max_mm; also, measured places lie around a tenth of the layer",
         "as_printed is given, and the layer above the scanned one is laid",
+    ),
+    "asked as learned": Measure(
+        "of what may differ",
+        "what programs ask for is the plan, displaced as the file of corrections says and not otherwise",
+        "the file read again; the asked joints' tip by Pinocchio within 0.02 mm on beads, its axis within 0.05 degrees of the "
+        "plan's everywhere, times, beads and flow the same",
+        ONLY_LEARNED,
+    ),
+    "asked off the plan": Measure(
+        "mm",
+        "programs ask for nothing farther from the plan than as_run.most_mm",
+        "the asked joints' tip against the executed one",
+        ONLY_LEARNED,
+    ),
+    "asked joint range": Measure(
+        "deg",
+        "every joint stays within its range if the robot does just what it is asked",
+        "see joint range",
+        ONLY_LEARNED,
+    ),
+    "asked rail range": Measure(
+        "mm", "so does every joint that slides", "see rail range", "as_run is given, and a joint slides"
+    ),
+    "asked joint velocity": Measure(
+        "of limit",
+        "so does the speed of every joint; accelerations its controller plans",
+        "see joint velocity",
+        ONLY_LEARNED,
+    ),
+    "asked nozzle clear of part and print": Measure(
+        "mm",
+        "beyond the tip's zone, nozzle and head keep as clear as asked, less asked_off_max_mm, if the robot does just that",
+        "see nozzle clear of part and print",
+        ONLY_LEARNED,
+    ),
+    "asked arm clear of part and print": Measure(
+        "mm", "so does the arm", "see arm clear of part and print", ONLY_LEARNED
+    ),
+    "asked robots clear of each other and of fixtures": Measure(
+        "mm", "so do robots and fixtures", "see robots clear of each other and of fixtures", ONLY_LEARNED
     ),
     "axis near the file's normals": Measure(
         "deg",

@@ -253,6 +253,8 @@ class Plan:
     paths:    joints along each bead that is laid, by arc length, before they were timed; with roll and tilt
     roll_maps: what roll could have been chosen: along the whole print, then along the beads where it is tightest
     nearer:   what nozzle and head keep from part and print, where it is less than usual; the problem says it, too
+    asked:    the motion that programs ask for so that the robot executes the trajectory, where runs have taught which that
+              is; None where it is the trajectory itself
     seal:     digests of what was verified, and of the verdict, by part (see `planner.plan.seal`); empty if nothing was
     """
 
@@ -277,6 +279,7 @@ class Plan:
     paths: tuple[JointPath, ...] = ()
     roll_maps: tuple[RollMap, ...] = ()
     nearer: Nearer | None = None
+    asked: Trajectory | None = None
     seal: Mapping[str, str] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> Path:
@@ -297,8 +300,8 @@ class Plan:
         wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
         wrong += [name for name, kind in ITEMS.items() if not all(isinstance(each, kind) for each in parts[name])]
         cell = build_cell(parts["problem"])
-        if not wrong and not parts["trajectory"].is_of(len(cell.joint_names)):
-            wrong = ["trajectory"]
+        motions = {name: parts[name] for name in ("trajectory", "asked") if name not in wrong}
+        wrong += [n for n, each in motions.items() if each is not None and not each.is_of(len(cell.joint_names))]
         if wrong:
             raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")
         return cls(cell=cell, **parts)
@@ -443,6 +446,7 @@ KINDS: dict[str, type | tuple[type, ...]] = {
     "trajectory": Trajectory,
     "view": (CellView, type(None)),
     "nearer": (Nearer, type(None)),
+    "asked": (Trajectory, type(None)),
 }
 ITEMS: dict[str, type] = {"checks": Check, "dips": Dip, "advice": Advice, "approaches": Approach}
 

@@ -35,7 +35,7 @@ def seal_of(plan: Plan) -> dict[str, str]:
 
     Empty for a part with something that has none, which a plan must not be lost for.
     """
-    parts = {name: getattr(plan, name) for name in (*INPUTS, "trajectory")}
+    parts = {name: getattr(plan, name) for name in (*INPUTS, "trajectory", "asked")}
     parts["verdict"] = tuple(getattr(plan, name) for name in VERDICT)
     digests = dict.fromkeys(parts, "")
     for name, value in parts.items():

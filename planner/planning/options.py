@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from planner.base.command_line import Command, one_of
+from planner.base.command_line import Command, number_within, one_of
 from planner.base.distribution import MOST_JOBS
 from planner.problem import shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
@@ -130,13 +129,7 @@ def _jobs(text: str) -> int:
 
 
 def _sample_time(text: str) -> float:
-    try:
-        dt = float(text)
-    except ValueError:
-        dt = math.nan
-    if not MIN_DT <= dt <= MAX_DT:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a time between {MIN_DT} and {MAX_DT} s")
-    return dt
+    return number_within(text, MIN_DT, MAX_DT, "a time in s")
 
 
 def _tolerance(text: str) -> Tolerance:

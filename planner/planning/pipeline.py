@@ -20,6 +20,7 @@ from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
+from planner.collision.print_body import PrintBody
 from planner.collision.scene import NOTHING, Obstacles
 from planner.export.languages import check_languages
 from planner.export.write import (
@@ -30,6 +31,7 @@ from planner.export.write import (
     write_robot_code,
     write_trajectory,
 )
+from planner.motion.as_run import asked_of, corrections_of
 from planner.motion.dips import find_dips
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
@@ -69,6 +71,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.speeds import mean_speed
 from planner.toolpath.workload import Workload
+from planner.verify.as_run import ASKED, as_run
 from planner.verify.collision import check_start
 from planner.verify.drawing import cell_view
 from planner.verify.verdict import Report, verify
@@ -155,6 +158,8 @@ def solve(
         check_start(problem, cell)
     with stages.stage("toolpath"):
         toolpath = build_toolpath(problem)
+        if not problem.process.split_beads:
+            corrections_of(problem, toolpath)
     work = Workload.of(toolpath)
     expected = estimate(work, mean_speed(problem.process, toolpath), dt)
     check_memory(problem, work, expected)
@@ -225,7 +230,21 @@ def solve(
         roll_maps=maps,
         nearer=nearer,
     )
-    return sealed(plan)
+    return sealed(with_asked(plan, stages, given.body))
+
+
+def with_asked(plan: Plan, stages: Stages, body: PrintBody | None = None) -> Plan:
+    """The plan with the motion that its program asks for, as runs have taught, and the checks of that; itself without any.
+
+    body: part and print as obstacles, see `verify`. Raises InputError for corrections that are none of this print's.
+    """
+    asked = asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
+    own = tuple(check for check in plan.checks if not check.name.startswith(ASKED))
+    if asked is None:
+        return replace(plan, asked=None, checks=own)
+    with stages.stage("verify"):
+        found = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, asked, body)
+    return replace(plan, asked=asked, checks=(*own, *found.checks), metrics=plan.metrics | dict(found.metrics))
 
 
 def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process: bool = False) -> Report:
@@ -658,13 +677,14 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
     stages = stages or Stages()
     with stages.stage("verify"):
         report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
+        asks = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, plan.asked)
     other = [name for name in changed if name in INPUTS] + ([] if plan.headroom is None else ["tolerance"])
     unlike = [Check(AS_PLANNED, float(len(other)), 0.0, "parts", False, f"changed since: {', '.join(other)}")]
     return sealed(
         replace(
             plan,
-            checks=(*report.checks, *(unlike if other else ())),
-            metrics=plan.metrics | report.metrics,
+            checks=(*report.checks, *asks.checks, *(unlike if other else ())),
+            metrics=plan.metrics | report.metrics | dict(asks.metrics),
             series=report.series,
             approaches=report.approaches,
             view=cell_view(plan.cell),

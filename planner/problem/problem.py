@@ -15,6 +15,7 @@ from pydantic_core import ErrorDetails, PydanticKnownError
 
 from planner.base.errors import InputError, nearest_name
 from planner.problem.as_printed import AsPrintedSpec
+from planner.problem.as_run import AsRunSpec
 from planner.problem.cell import CellSpec, CollisionSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
@@ -158,6 +159,9 @@ class Problem(Section):
     program: ProgramSpec = key("program", "names in the robot program, and how fine it is; each has a default", {})
     as_printed: AsPrintedSpec | None = key(
         "as_printed", "what a scan found of the layers that are printed; default: nothing is printed yet", None
+    )
+    as_run: AsRunSpec | None = key(
+        "as_run", "what runs of the program taught; default: the program asks for the plan as it is", None
     )
     _source: ValueSources = PrivateAttr()
 

@@ -101,7 +101,7 @@ def verify(
             finite,
             numbered,
             _records(judged),
-            _limits(judged),
+            joint_limits(judged),
             _geometry(judged),
             file_normals(judged),
             as_the_problem_says(judged),
@@ -193,7 +193,7 @@ def _home(judged: Judged) -> Check:
     return check_most(t, "starts and ends at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
 
 
-def _limits(judged: Judged) -> Findings:
+def joint_limits(judged: Judged) -> Findings:
     """Joint ranges, speed, acceleration and jerk by central differences of the samples."""
     t, limits = judged.trajectory, judged.cell.limits
     q = np.vstack([t.q[:1], t.q[:1], t.q, t.q[-1:], t.q[-1:]])  # at rest before and after

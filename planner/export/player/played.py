@@ -90,7 +90,7 @@ class Played:
         times = np.asarray(t, dtype=np.float64)
         flat = np.atleast_1d(times).ravel()
         k = np.clip(np.searchsorted(self.leave, flat, side="right") - 1, 0, len(self.move) - 1)
-        u = np.clip(self._gone(k, flat - self.leave[k]) / np.where(self.length[k] > 0.0, self.length[k], 1.0), 0.0, 1.0)
+        u = np.clip(self.gone(k, flat - self.leave[k]) / np.where(self.length[k] > 0.0, self.length[k], 1.0), 0.0, 1.0)
         quat = slerp(self.quat[k], self.quat[k + 1], u)
         shape = times.shape
         return Moment(
@@ -112,7 +112,7 @@ class Played:
         out: Array = self.leave[k] + np.clip(took, 0.0, first + even + last)
         return out
 
-    def _gone(self, k: Indices, since: Array) -> Array:
+    def gone(self, k: Indices, since: Array) -> Array:
         """Metres of path (n) of the way from knots k (n) that are behind the robot a time (n) [s] after it left them."""
         v, a, first, even, b, last = self.phases[k].T
         top = v + a * first

@@ -1,0 +1,219 @@
+"""What was run corrects what is run next: a recording of a program's run, and a program that asks for what the robot left out.
+
+python -m planner.feedback.learn cylinder_logo run.csv
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from planner.base.command_line import Command, exit_code, number_within
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.base.progress import Stages
+from planner.base.results import results_folder
+from planner.export.controllers import CONTROLLERS
+from planner.export.languages import LANGUAGES, chosen
+from planner.export.write import forecast_words, program_notes
+from planner.feedback.identify_log import read_log
+from planner.feedback.learn_fit import Lessons, RunErrors, bends, errors_of, evened, less_around, next_lessons
+from planner.feedback.learn_telling import (
+    CORRECTIONS,
+    PICTURE,
+    next_lines,
+    next_name,
+    read_lessons,
+    run_lines,
+    run_of,
+    write_lessons,
+    write_picture,
+    write_problem,
+)
+from planner.feedback.learn_track import recorded_way
+from planner.feedback.planned import planned_problem
+from planner.motion.as_run import Corrections, corrections_of
+from planner.plan import Check, Plan
+from planner.plan.seal import sealed
+from planner.planning.options import add_set, add_strategy
+from planner.planning.pipeline import REPEATED, solve, with_asked, write_files
+from planner.planning.pipeline import RESULTS_BY as PLANNED_BY
+from planner.problem import load_problem
+from planner.problem.as_run import AsRunSpec
+from planner.problem.yaml_file import Override
+from planner.report.summary import print_summary
+
+RESULTS_BY = "learn"  # whose files they are, in manifests
+MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
+TRIES = 12  # smoother and smaller corrections, until they hold
+SMOOTHER = 0.6  # of what corrections may bend, from try to try
+AROUND = 10e-3  # m of bead, on which corrections are made smaller where they would not be safe
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A plan whose program is corrected, unless checks of that failed; what runs taught, with the corrections that it has, and
+    how often these were smoothed."""
+
+    plan: Plan
+    lessons: Lessons
+    smoothed: int
+    failed: tuple[Check, ...]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; returns the exit code."""
+    options = learn_command().parse_args(arguments)
+    return exit_code(partial(_run, options), partial(print, file=sys.stderr))
+
+
+def _run(options: argparse.Namespace) -> int:
+    with Stages(None if options.quiet else Console(stderr=True, highlight=False)) as stages:
+        plan = ran_plan(options.plan, options.set, options.strategy, stages)
+        problem, language = plan.problem, language_of(plan)
+        way = recorded_way(plan, read_log(options.log, plan.cell, options.columns), language)
+        errors = errors_of(plan.trajectory, way)
+        print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
+        most = options.most or (MOST if problem.as_run is None else problem.as_run.most)
+        corrections = corrections_of(problem, plan.toolpath)
+        before = None if corrections is None else read_lessons(problem, corrections)
+        wanted = next_lessons(plan.trajectory, errors, before, most)
+        learned = learned_plan(plan, wanted, errors, most, language, stages)
+        print("\n".join(next_lines(learned.lessons.corrections, before, errors, learned.smoothed)), flush=True)
+        if learned.failed:
+            print(f"no program that is safe: {in_words(learned.failed)}", file=sys.stderr)
+            return EXIT_NOT_VERIFIED
+        folder = options.out or Path("out") / next_name(problem)
+        target = folder / f"{next_name(problem)}.yaml"
+        with results_folder(folder, RESULTS_BY) as fresh:
+            write_lessons(learned.lessons, plan.trajectory, errors, fresh / CORRECTIONS)
+            write_picture(plan, errors, learned.lessons.corrections, run_of(problem), fresh / PICTURE)
+            (fresh / target.name).write_text(write_problem(problem, most, folder), encoding="utf-8")
+        done = sealed(replace(learned.plan, problem=load_problem(target, problem.sources.overrides)))
+        with results_folder(folder, PLANNED_BY) as fresh:
+            done = write_files(done, fresh, stages)
+    print_summary(done, folder, chosen(done).words, program_notes(done, folder), forecast_words(folder))
+    return EXIT_VERIFIED if done.verified else EXIT_NOT_VERIFIED
+
+
+def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
+    """The plan whose program was run: as it was saved, or planned again.
+
+    Raises InputError where there is no program of it, Refusal where there is no plan.
+    """
+    problem, plan = planned_problem(given)
+    if plan is None or overrides or strategy:
+        plan = solve(problem.changed(overrides), strategy, stages=stages, second_process=True, baseline=False)
+    else:
+        plan = replace(plan, problem=problem)
+    if not plan.verified:
+        reason = f"the plan is not verified, so that no program of it was written: {in_words(plan.checks)}"
+        raise InputError(reason, file=given)
+    return plan
+
+
+def language_of(plan: Plan) -> str:
+    """The language of the arm's program. Raises InputError where its controller does not plan lines by itself."""
+    found = [name for name in chosen(plan).names if name in CONTROLLERS]
+    if not found:
+        reason = f"no program of lines is written for {plan.cell.arm_robot.name}: {chosen(plan).words}"
+        raise InputError(reason, hint=f"program.languages: one of {', '.join(CONTROLLERS)}")
+    return found[0]
+
+
+def learned_plan(
+    plan: Plan, lessons: Lessons, errors: RunErrors, most: float, language: str, stages: Stages
+) -> Learned:
+    """The plan with a corrected program: with as much of the corrections as is safe, and as lines can follow."""
+    failed: tuple[Check, ...] = ()
+    corrections = lessons.corrections
+    smoothed, bend = 0, float(bends(corrections).max(initial=0.0))
+    with tempfile.TemporaryDirectory() as folder:
+        spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
+        plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
+        for _ in range(TRIES):
+            write_lessons(replace(lessons, corrections=corrections), plan.trajectory, errors, spec.corrections)
+            asked = with_asked(plan, stages)
+            failed = tuple(check for check in asked.checks if not check.ok)
+            if failed:
+                for check in failed:
+                    corrections = _smaller(plan, corrections, check.sample)
+                continue
+            with stages.stage("export"):
+                differences = LANGUAGES[language].differences(asked, LANGUAGES[language].write(asked))
+            if not differences:
+                return Learned(asked, replace(lessons, corrections=corrections), smoothed, ())
+            failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
+            bend, smoothed = SMOOTHER * bend, smoothed + 1
+            corrections = evened(corrections, bend)
+    return Learned(plan, replace(lessons, corrections=corrections), smoothed, failed)
+
+
+def _smaller(plan: Plan, corrections: Corrections, sample: int) -> Corrections:
+    """Corrections, smaller around a sample of the plan, or around the place of a bead that is nearest to it in time."""
+    t = plan.trajectory
+    laid = np.flatnonzero(t.deposit)
+    k = laid[int(np.argmin(np.abs(laid - sample)))]
+    return less_around(corrections, int(t.bead[k]), float(t.s[k]), AROUND)
+
+
+def in_words(checks: Sequence[Check]) -> str:
+    """The checks that fail, each with its worst value and place."""
+    failed = [check for check in checks if not check.ok]
+    return "; ".join(f"{check.name}: {check.worst:.4g} {check.unit}, {check.where}" for check in failed)
+
+
+def learn_command() -> Command:
+    """The parser of `python -m planner.feedback.learn`."""
+    parser = Command(
+        "feedback.learn",
+        "Have the robot keep to its plan: find where a run of a program left it, in a recording of the joints, and write the "
+        "program that asks for what was left out.",
+        {
+            "cylinder_logo run.csv": "the program of the second run in out/cylinder_logo_run_2",
+            "out/cylinder_logo_run_2 run2.csv": "that of the third",
+            "my_part.yaml run.csv --most-mm 0.5": "no place asked for that is farther from the plan",
+        },
+        {
+            0: "verified plan and corrected program written",
+            2: "wrong input, or a recording of something else; nothing written",
+            3: "no plan, or no corrected program that is safe; nothing written",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument(
+        "plan",
+        metavar="PLAN",
+        help="what was run: a plan that was saved, a folder of results, a problem file or a shipped one's name",
+    )
+    parser.add_argument("log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, see the page")
+    parser.add_argument(
+        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
+    )
+    parser.add_argument(
+        "--most-mm",
+        dest="most",
+        type=_millimetres,
+        metavar="MM",
+        help="how far from the plan a program may ask for places (default: 1, or as in the runs before)",
+    )
+    add_set(parser)
+    add_strategy(parser)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_run_<number>")
+    parser.add_argument("--quiet", action="store_true", help="no progress bars")
+    return parser
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(","))
+
+
+def _millimetres(text: str) -> float:
+    return number_within(text, 0.01, 5.0, "a length in mm") * 1e-3

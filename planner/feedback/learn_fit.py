@@ -1,0 +1,200 @@
+"""What a program is to ask for next: corrections for the next run from where the last one left its plan.
+
+Iterative learning: where the executed path is e beside the plan, the next program asks for e less. A controller that cuts
+corners and follows late passes on some of what it is asked, none of it reversed, so that what is left shrinks from run to
+run (Norrloef and Gunnarsson, "On the design of ILC algorithms using optimization", Automatica 2001; for robot programs He et
+al., arXiv 2301.02348). Across the path only: along it a place off is a time off, which is the speed's to mend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.ndimage import uniform_filter1d
+
+from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
+from planner.feedback.learn_track import RecordedWay
+from planner.motion.as_run import Corrections
+from planner.plan import Trajectory
+
+KNOT = 16e-3  # s of planned motion between places of corrections: lines shorter than that no controller is asked for
+BEND = 0.1e-3  # m by which corrections may bend from place to place: what is smoother than noise of that is believed
+QUIET = 2e-6  # m: recordings are no better than that
+TO_SIGMA = 1.4826  # from the median of deviations to the standard one, of a normal distribution
+AROUND = 4  # places to either side, 64 ms: over these it is judged whether a run was better
+MORE, LESS = 1.5, 0.5  # times the gain, where a run was better, and where it was not
+LEAST = 0.01  # gain
+ROUNDED = 2e-9  # m by which numbers in the file may exceed what they stand for
+UNKNOWN_MOST = 0.3  # of a bead, in gaps of a recording, from which on it teaches nothing there
+
+
+@dataclass(frozen=True)
+class RunErrors(ReadOnlyArrays):
+    """Where a run left its plan (n samples of the plan).
+
+    off (n, 3)     of the executed tip across the planned path, part frame [m]; 0 where it is not known
+    known (n)      samples of beads that the recording shows
+    speed (n)      executed along the plan [m/s]; NaN where it is not known
+    noise          standard deviation of one recorded tip [m]
+    """
+
+    off: Array
+    known: Flags
+    speed: Array
+    noise: float
+
+    @property
+    def size(self) -> Array:
+        """How far (k) off the plan at samples that are known [m]."""
+        return np.asarray(np.linalg.norm(self.off[self.known], axis=1))
+
+
+def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
+    """Where a run left a plan, at each sample of it."""
+    n = len(t)
+    place, first = np.unique(np.maximum.accumulate(run.place), return_index=True)
+    rows = np.arange(n)
+    executed = np.column_stack([np.interp(rows, place, column[first]) for column in run.tip.T])
+    when = np.interp(rows, place, run.time[first])
+    known = t.deposit & (rows >= place[0]) & (rows <= place[-1])
+    for a, b in run.gaps:
+        known &= ~((rows > run.place[a]) & (rows < run.place[b]))
+    along = np.gradient(t.tip, axis=0)
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    along = along / np.where(size > 0.0, size, 1.0)
+    off = executed - t.tip
+    off -= (off * along).sum(axis=1, keepdims=True) * along
+    return RunErrors(np.where(known[:, None], off, 0.0), known, _speed(t, when, known), _noise(run))
+
+
+def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
+    """Speed along the plan (n) [m/s], of the ten samples around each."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    k = np.arange(len(t))
+    a, b = np.maximum(k - 5, 0), np.minimum(k + 5, len(t) - 1)
+    inside = known & known[a] & known[b] & (t.bead[a] == t.bead[b])
+    took = when[b] - when[a]
+    out: Array = np.where(inside & (took > 0.0), (way[b] - way[a]) / np.where(took > 0.0, took, 1.0), np.nan)
+    return out
+
+
+def _noise(run: RecordedWay) -> float:
+    """Standard deviation of one recorded tip in one direction [m], by what no motion does: its third differences."""
+    third = np.diff(run.tip, n=3, axis=0) / np.sqrt(20.0)
+    return float(np.sqrt(np.square(TO_SIGMA * np.median(np.abs(third), axis=0)).mean()))
+
+
+@dataclass(frozen=True)
+class Lessons(ReadOnlyArrays):
+    """What runs have taught so far (k places), each by the run that was nearest to the plan around it.
+
+    corrections    that the next program is to have, or the last one had
+    best (k, 3)    the corrections of that run [m];  left (k, 3): how far off the plan it was with them [m]
+    gain (k)       how much of what was left is made up for next: less where that was too much before; 0 where no run has
+                   taught anything
+    """
+
+    corrections: Corrections
+    best: Array
+    left: Array
+    gain: Array
+
+
+def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most: float) -> Lessons:
+    """What a run teaches besides what the runs before have; its corrections are `most` [m] each at most.
+
+    Where a run was nearer to the plan than the best before it, the next asks for what it left, and else for less of what
+    the best one had left: so a robot on which a correction does harm keeps the one that did not.
+    """
+    step = max(round(KNOT / t.dt), 1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
+    rows: list[tuple[Array, ...]] = []
+    for first, last in edges.tolist():
+        own = np.arange(first, last)
+        knots = np.unique(np.append(np.arange(0, len(own), step), len(own) - 1))
+        bead, s, known = int(t.bead[first]), t.s[own[knots]], errors.known[own]
+        ran, best, left, gain = _before(before, bead, s)
+        if known.mean() >= 1.0 - UNKNOWN_MOST:
+            off = _smoothed(errors.off[own], known, knots, errors.noise)
+            better = (_around(off) <= _around(left)) | (gain == 0.0)
+            gain = np.where(
+                better, np.where(gain == 0.0, 1.0, np.minimum(MORE * gain, 1.0)), np.maximum(LESS * gain, LEAST)
+            )
+            best, left = np.where(better[:, None], ran, best), np.where(better[:, None], off, left)
+        rows.append((np.full(len(s), bead), s, best - gain[:, None] * left, best, left, gain))
+    beads, s, shift, best, left, gain = (np.concatenate(column) for column in zip(*rows, strict=True))
+    size = np.linalg.norm(shift, axis=1, keepdims=True)
+    shift = shift * np.minimum(1.0, (most - ROUNDED) / np.where(size > 0.0, size, 1.0))
+    return Lessons(Corrections(beads.astype(np.int64), s, shift), best, left, gain)
+
+
+def _before(before: Lessons | None, bead: int, s: Array) -> tuple[Array, Array, Array, Array]:
+    """Corrections that the last run had, best ones, what these left (k, 3) [m], and gains (k), at arc lengths s (k) of a
+    bead; gains are 0 where no run taught anything."""
+    k = len(s)
+    own = slice(0, 0) if before is None else slice(*np.searchsorted(before.corrections.bead, [bead, bead + 1]).tolist())
+    if before is None or own.start == own.stop:
+        return np.zeros((k, 3)), np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k)
+    place = before.corrections.s[own]
+    ran, best, left = (
+        np.column_stack([np.interp(s, place, column) for column in values[own].T])
+        for values in (before.corrections.shift, before.best, before.left)
+    )
+    return ran, best, left, np.interp(s, place, before.gain[own])
+
+
+def _around(off: Array) -> Array:
+    """Root mean square (k) of distances off the plan (k, 3) at AROUND places to either side."""
+    return np.sqrt(uniform_filter1d(np.square(off).sum(axis=1), 2 * AROUND + 1, mode="nearest"))
+
+
+def _smoothed(off: Array, known: Flags, knots: Indices, noise: float) -> Array:
+    """Values (k, 3) at knots whose straight interpolation is nearest to off (n, 3) where that is known, and bends little.
+
+    The least of sum |off - value|^2 / noise^2 + sum |second difference|^2 / BEND^2: by a matrix of five diagonals.
+    """
+    n, k = len(off), len(knots)
+    if k == 1:
+        return off[:1]
+    at = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, k - 2)
+    u = (np.arange(n) - knots[at]) / (knots[at + 1] - knots[at])
+    w = known.astype(np.float64)
+    upper = np.zeros((3, k))  # diagonals of the symmetric matrix, the main one last
+    upper[2] = np.bincount(at, w * (1.0 - u) ** 2, k) + np.bincount(at + 1, w * u**2, k)
+    upper[1, 1:] = np.bincount(at, w * u * (1.0 - u), k)[:-1]
+    right = np.column_stack([np.bincount(at, w * (1.0 - u) * c, k) + np.bincount(at + 1, w * u * c, k) for c in off.T])
+    stiff = (max(noise, QUIET) / BEND) ** 2
+    for i, square in enumerate((1.0, 4.0, 1.0)):
+        upper[2, i : k - 2 + i] += stiff * square
+    upper[1, 1 : k - 1] += -2.0 * stiff
+    upper[1, 2:k] += -2.0 * stiff
+    upper[0, 2:] += stiff
+    upper[2] += 1e-9 + 1e-3 * stiff  # where nothing is known, nothing changes
+    return np.asarray(solveh_banded(upper, right))
+
+
+def bends(corrections: Corrections) -> Array:
+    """By how much (k) each place's correction is off the mean of its neighbours on the bead [m]; 0 at a bead's ends."""
+    bead, shift = corrections.bead, corrections.shift
+    out = np.zeros(len(bead))
+    inside = (bead[2:] == bead[1:-1]) & (bead[:-2] == bead[1:-1])
+    out[1:-1] = np.where(inside, np.linalg.norm(0.5 * (shift[2:] + shift[:-2]) - shift[1:-1], axis=1), 0.0)
+    return out
+
+
+def evened(corrections: Corrections, bend: float) -> Corrections:
+    """The same; where one is off the mean of its neighbours by more than `bend` [m], half way towards that."""
+    shift = corrections.shift.copy()
+    k = np.flatnonzero(bends(corrections) > bend)
+    shift[k] = 0.5 * corrections.shift[k] + 0.25 * (corrections.shift[k - 1] + corrections.shift[k + 1])
+    return Corrections(corrections.bead, corrections.s, shift)
+
+
+def less_around(corrections: Corrections, bead: int, s: float, reach: float) -> Corrections:
+    """The same, halved at a place on a bead, and less so within a reach [m] of it."""
+    away = np.where(corrections.bead == bead, np.abs(corrections.s - s) / reach, np.inf)
+    share = np.clip(away, 0.0, 1.0)
+    share = 0.5 + 0.5 * share**2 * (3.0 - 2.0 * share)
+    return Corrections(corrections.bead, corrections.s, share[:, None] * corrections.shift)

@@ -1,0 +1,185 @@
+"""What a run taught: by how much it left its plan in words, a table and a picture, and the problem of the next run."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from planner.base.arrays import Array, Indices
+from planner.base.errors import OutputError
+from planner.feedback.learn_fit import Lessons, RunErrors
+from planner.feedback.learn_track import RecordedWay
+from planner.motion.as_run import COLUMNS, Corrections
+from planner.plan import Plan, Trajectory
+from planner.problem import Problem
+from planner.problem.fields import LONGEST_NAME
+from planner.problem.rewrite import Value, changed_text
+
+CORRECTIONS, PICTURE = "corrections.csv", "learned.png"
+# Columns more: how far the last run was off the plan there, empty where it is not known; and what is gone on from, see Lessons.
+OFF, GAIN = "off_mm", "gain"
+BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy_mm", "left_dz_mm")
+WORTH = 0.9  # of what the run before was off: a run that leaves more has hardly anything left to teach
+WORST = 3  # places that are named
+APART = 5e-3  # m along a bead between these
+AT_SPEED = 0.02  # of a bead's speed
+_RUN = "_run_"  # before the number of a run in the name of its problem
+_BLUE, _GREY, _INK = "#0072b2", "#9aa7b4", "#1b2733"
+
+
+def write_lessons(lessons: Lessons, t: Trajectory, errors: RunErrors, target: Path) -> None:
+    """Write what runs taught as CSV, a row for each place. Raises OutputError."""
+    corrections = lessons.corrections
+    off = off_at(corrections, t, errors) * 1e3
+    numbers = np.column_stack([corrections.s, corrections.shift, lessons.best, lessons.left]) * 1e3
+    try:
+        with target.open("w", encoding="utf-8", newline="") as stream:
+            rows = csv.writer(stream, lineterminator="\n")
+            rows.writerow((*COLUMNS, OFF, *BEST, *LEFT, GAIN))
+            for bead, far, values, gain in zip(
+                corrections.bead.tolist(), off.tolist(), numbers.tolist(), lessons.gain.tolist(), strict=True
+            ):
+                texts = [f"{value:.6f}" for value in values]
+                rows.writerow((bead, *texts[:4], "" if np.isnan(far) else f"{far:.4f}", *texts[4:], f"{gain:.4f}"))
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror}") from error
+
+
+def read_lessons(problem: Problem, corrections: Corrections) -> Lessons:
+    """What the runs before taught, from the file of a problem's corrections. Raises InputError where it does not say."""
+    spec = problem.as_run
+    if spec is None:
+        raise ValueError("a problem without corrections")
+    with spec.corrections.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    try:
+        table = np.array([[float(row[name]) for name in (*BEST, *LEFT, GAIN)] for row in rows])
+    except (KeyError, TypeError, ValueError):
+        hint = "the file as beadwise learn wrote it"
+        reason = f"{spec.corrections.name} does not hold what earlier runs taught"
+        raise problem.error("as_run.corrections", reason, hint) from None
+    return Lessons(corrections, table[:, :3] * 1e-3, table[:, 3:6] * 1e-3, table[:, 6])
+
+
+def off_at(corrections: Corrections, t: Trajectory, errors: RunErrors) -> Array:
+    """How far (k) off the plan a run was at places of corrections [m]; NaN where it is not known."""
+    rows = np.flatnonzero(t.deposit)
+    order = np.lexsort((t.s[rows], t.bead[rows]))
+    rows = rows[order]
+    longest = float(t.s.max()) + 1.0
+    at = np.searchsorted(t.bead[rows] * longest + t.s[rows], corrections.bead * longest + corrections.s - 1e-9)
+    sample = rows[np.minimum(at, len(rows) - 1)]
+    off = np.linalg.norm(errors.off[sample], axis=1)
+    return np.asarray(np.where(errors.known[sample], off, np.nan))
+
+
+def next_name(problem: Problem) -> str:
+    """What the problem of the next run is called."""
+    run = run_of(problem)
+    stem = problem.name.rpartition(_RUN)[0] if run > 1 else problem.name
+    suffix = f"{_RUN}{run + 1}"
+    return stem[: LONGEST_NAME - len(suffix)] + suffix
+
+
+def write_problem(problem: Problem, most: float, folder: Path) -> str:
+    """The text of the problem of the next run, for the folder that its corrections are in."""
+    values: dict[str, Value] = {"name": next_name(problem)}
+    if problem.as_run is not None:
+        values |= {"as_run.corrections": CORRECTIONS, "as_run.most_mm": most * 1e3}
+        return changed_text(problem, values, folder)
+    text = changed_text(problem, values, folder)
+    comment = "# What runs taught, by beadwise learn: the program asks for places beside the plan, so that the robot keeps to it."
+    return f"{text.rstrip()}\n\n{comment}\nas_run:\n  corrections: {CORRECTIONS}\n  most_mm: {most * 1e3:.6g}\n"
+
+
+def run_of(problem: Problem) -> int:
+    """Which run of a print a problem is for: the first, or the one in the name that was given to it here."""
+    number = problem.name.rpartition(_RUN)[2]
+    return int(number) if problem.as_run is not None and number.isdecimal() else 1
+
+
+def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list[str]:
+    """By how much a run left its plan, and where most."""
+    t, size = plan.trajectory, errors.size * 1e3
+    rows = np.flatnonzero(errors.known)
+    seen = len(rows) / int(np.count_nonzero(t.deposit))
+    rms, nearly, most = np.sqrt((size**2).mean()), np.quantile(size, 0.99), size.max()
+    out = [
+        *way.remarks,
+        f"run {run}: {seen:.1%} of the samples on beads recorded; the tip is off the plan by {rms:.3f} mm (rms), "
+        f"{nearly:.3f} (99 %), {most:.3f} at most; one recorded tip is {errors.noise * 1e3:.3f} mm noisy",
+    ]
+    asked = plan.commanded[t.bead[rows]]
+    speed = errors.speed[rows]
+    told = ~np.isnan(speed)
+    if told.any():
+        share = float((speed[told] >= (1.0 - AT_SPEED) * asked[told]).mean())
+        planned = float((t.speed[rows][told] >= (1.0 - AT_SPEED) * asked[told]).mean())
+        out.append(f"at the commanded speed in {share:.1%} of that time, planned {planned:.1%}")
+    turned = way.turned[t.deposit[np.minimum(np.rint(way.place).astype(np.int64), len(t) - 1)]]
+    out.append(f"the axis is off by {np.degrees(np.quantile(turned, 0.99)):.2f} degrees (99 %), which is left as it is")
+    out.append("most off: " + "; ".join(_places(t, rows, size)))
+    return out
+
+
+def _places(t: Trajectory, rows: Indices, size: Array) -> list[str]:
+    """The worst places, in words."""
+    out: list[tuple[int, float]] = []
+    words = []
+    for k in np.argsort(-size, kind="stable")[:2000].tolist():
+        bead, s = int(t.bead[rows[k]]), float(t.s[rows[k]])
+        if all(bead != other or abs(s - there) > APART for other, there in out):
+            out.append((bead, s))
+            words.append(f"{size[k]:.3f} mm at bead {bead}, {s * 1e3:.1f} mm")
+        if len(out) == WORST:
+            break
+    return words
+
+
+def next_lines(corrections: Corrections, before: Lessons | None, errors: RunErrors, smoothed: int) -> list[str]:
+    """What the next program asks for, and whether another run is worth it."""
+    out = [f"the next program asks for places up to {corrections.most * 1e3:.3f} mm beside the plan"]
+    if smoothed:
+        out.append(f"corrections were smoothed {smoothed} times, until lines of the program could follow them")
+    if before is not None:
+        was, now = (
+            float(np.sqrt(np.square(each).sum(axis=1).mean())) * 1e3 for each in (before.left, errors.off[errors.known])
+        )
+        if now > WORTH * was:
+            out.append(
+                f"hardly nearer than before, place by place ({now:.3f} mm rms, {was:.3f}): runs have little left to teach"
+            )
+    return out
+
+
+def write_picture(plan: Plan, errors: RunErrors, corrections: Corrections, run: int, target: Path) -> None:
+    """Write how far a run was off its plan, along the print and how often, as PNG. Raises OutputError."""
+    t = plan.trajectory
+    rows = np.flatnonzero(errors.known)
+    way = np.cumsum(np.concatenate([[0.0], np.where(np.diff(rows) == 1, np.diff(t.s[rows]), 0.0)]))
+    figure = Figure(figsize=(12.0, 4.5), dpi=120, facecolor="white", layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    left.plot(way, errors.size * 1e3, color=_BLUE, linewidth=0.6)
+    left.set_xlabel("along all beads [m]")
+    left.set_ylabel("off the plan [mm]")
+    left.set_title(f"run {run}: the executed tip across the planned path", fontsize=10, color=_INK)
+    size = np.sort(errors.size) * 1e3
+    right.plot(size, np.linspace(0.0, 1.0, len(size)), color=_BLUE, label="off the plan")
+    asked = np.sort(np.linalg.norm(corrections.shift, axis=1)) * 1e3
+    right.plot(asked, np.linspace(0.0, 1.0, len(asked)), color=_GREY, label="asked beside it next")
+    right.set_xlabel("mm")
+    right.set_ylabel("share of the places below")
+    right.legend(frameon=False, fontsize=9)
+    for ax in (left, right):
+        axes: Any = ax
+        axes.set_ylim(bottom=0.0)
+        axes.spines[["top", "right"]].set_visible(False)
+    try:
+        FigureCanvasAgg(figure).print_png(str(target), metadata={"Software": None})
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror}") from error

@@ -1,0 +1,57 @@
+"""What was planned, by what there is of it: a plan that was saved, a folder of results, a problem file, a shipped name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from planner.base.errors import InputError
+from planner.plan import Plan
+from planner.problem import Problem, load_problem, shipped_problems
+
+_SAVED = (".npz", ".plan")
+
+
+def planned_problem(given: str) -> tuple[Problem, Plan | None]:
+    """The problem of what was planned, and the plan itself where that was saved.
+
+    Raises InputError where the problem's file cannot be found any more.
+    """
+    path = Path(given)
+    if path.is_dir() and given not in shipped_problems():
+        return _of_folder(path), None
+    if path.suffix in _SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
+        plan = Plan.load(path)
+        return _of_plan(plan, path), plan
+    return load_problem(given), None
+
+
+def _of_plan(plan: Plan, path: Path) -> Problem:
+    """The problem of a plan, read again from its file."""
+    if plan.problem.from_arrays:
+        raise InputError("its waypoints are in no file", file=path, hint="plan them from a file of waypoints")
+    if not plan.problem.file.is_file():
+        raise InputError(f"its problem file {plan.problem.file} is not there any more", file=path)
+    return load_problem(plan.problem.file, plan.problem.sources.overrides)
+
+
+def _of_folder(folder: Path) -> Problem:
+    """The problem of a folder of results: a shipped one, or the file that was given, from here or beside the folder."""
+    file = folder / "plan.json"
+    try:
+        held = json.loads(file.read_text(encoding="utf-8"))
+        name, overrides = str(held["problem"]), [str(each) for each in held["settings"]["overrides"]]
+        given = held.get("problem_file", name)
+    except FileNotFoundError as error:
+        raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError("is no plan.json that solve wrote", file=file) from error
+    if not isinstance(given, str):
+        raise InputError("was planned from waypoints of arrays, which are in no file", file=folder)
+    if given in shipped_problems():
+        return load_problem(given, overrides)
+    found = next((base / given for base in (Path(), folder, *folder.parents) if (base / given).is_file()), None)
+    if found is None:
+        hint = "run this from where it was planned, or give the problem file in place of the folder, with --set as then"
+        raise InputError(f"its problem file {given} is not there", file=folder, hint=hint)
+    return load_problem(found, overrides)

@@ -1,0 +1,162 @@
+"""What a program asks for so that the robot executes the plan: the plan's motion, its tip displaced as runs have taught.
+
+A robot cuts corners and follows late. What it executes is the plan if it is asked for something else, beside the plan. By
+how much is told at places along each bead, and is interpolated straight between them. Beyond a bead's ends it fades.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
+from planner.base.errors import Complaint
+from planner.base.files import read_text
+from planner.cell.cell import Cell
+from planner.plan.trajectory import Trajectory
+from planner.problem import Problem
+from planner.toolpath.bead import Toolpath
+
+COLUMNS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")  # of the file, and more that is for people
+LARGEST_FILE = 300_000_000  # bytes: some six million places, or a day of printing
+FADE = 5e-3  # m of way on which a displacement fades before and behind a bead, or half of what lies between two
+BEYOND = 1e-4  # m by which a place may lie behind its bead's end
+ROUNDING = 1e-6  # relative, of numbers in the file
+BLOCK = 20_000  # samples whose postures are sought at once: bounds the memory
+
+
+@dataclass(frozen=True)
+class Corrections(ReadOnlyArrays):
+    """By how much the tip is displaced (k places), in order of beads and along them.
+
+    bead (k) its index;  s (k) arc length along it [m];  shift (k, 3) of the tip in the part frame [m]
+    """
+
+    bead: Ints
+    s: Array
+    shift: Array
+
+    @property
+    def most(self) -> float:
+        """The greatest displacement [m]."""
+        return float(np.linalg.norm(self.shift, axis=1).max(initial=0.0))
+
+
+def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Corrections:
+    """The corrections in a file. Raises InputError, made by `complain`, for anything that is none of this toolpath's."""
+    lines = read_text(path, LARGEST_FILE, complain)
+    rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].startswith("#")]
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    missing = [name for name in COLUMNS if name not in header]
+    if missing:
+        raise complain(f"{path.name} holds no corrections: no column {missing[0]}", hint="beadwise learn writes them")
+    at = [header.index(name) for name in COLUMNS]
+    try:
+        table = np.array([[row[i] for i in at] for _, row in rows[1:]], dtype=np.float64).reshape(-1, len(COLUMNS))
+    except (ValueError, IndexError):
+        line = next(line for line, row in rows[1:] if not _are_numbers(row, at))
+        raise complain(
+            f"{path.name}, line {line}: not {len(COLUMNS)} numbers", hint="beadwise learn writes them"
+        ) from None
+    numbered = [line for line, _ in rows[1:]]
+    wrong = partial(_wrong, path, complain, numbered)
+    wrong(np.asarray(~np.isfinite(table).all(axis=1)), "a number is not finite")
+    bead = table[:, 0].astype(np.int64)
+    beads = toolpath.beads
+    wrong((bead != table[:, 0]) | (bead < 0) | (bead >= len(beads)), f"no bead of the {len(beads)} that there are")
+    length = np.array([each.length for each in beads])
+    s = table[:, 1] * 1e-3
+    wrong((s < 0.0) | (s > length[bead] + BEYOND), "beyond the end of its bead: corrections of another print")
+    back = np.append(False, (np.diff(bead) < 0) | ((np.diff(bead) == 0) & (np.diff(s) <= 0.0)))
+    wrong(back, "not behind the place before")
+    return Corrections(bead, s, table[:, 2:] * 1e-3)
+
+
+def _are_numbers(row: list[str], at: list[int]) -> bool:
+    try:
+        return bool([float(row[i]) for i in at])
+    except (ValueError, IndexError):
+        return False
+
+
+def _wrong(path: Path, complain: Complaint, lines: list[int], bad: Flags, reason: str) -> None:
+    if bad.any():
+        raise complain(f"{path.name}, line {lines[int(np.argmax(bad))]}: {reason}", hint="beadwise learn writes them")
+
+
+def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:
+    """By how much the tip is displaced at each sample (n, 3) [m], part frame."""
+    t = trajectory
+    out = np.zeros((len(t), 3))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
+    begin = np.searchsorted(corrections.bead, t.bead[edges[:, 0]], side="left")
+    end = np.searchsorted(corrections.bead, t.bead[edges[:, 0]], side="right")
+    for (first, last), a, b in zip(edges.tolist(), begin.tolist(), end.tolist(), strict=True):
+        if a < b:
+            for axis in range(3):
+                out[first:last, axis] = np.interp(t.s[first:last], corrections.s[a:b], corrections.shift[a:b, axis])
+    _fade(out, t, edges)
+    return out
+
+
+def _fade(out: Array, t: Trajectory, edges: Indices) -> None:
+    """Let displacements (n, 3) fade beyond the ends of deposition (k, 2), smoothly by way, into each other's never."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    first, last = edges[:, 0], edges[:, 1] - 1
+    begins, ends = np.append(first, len(t) - 1), np.append(0, last)  # of each stretch of travel
+    for k, (a, b) in enumerate(zip(ends.tolist(), begins.tolist(), strict=True)):
+        reach = min(FADE, 0.5 * (way[b] - way[a]))
+        if reach <= 0.0:
+            continue
+        rows = np.arange(a + (k > 0), b + (k == len(first)))
+        for at, there in ((a, k > 0), (b, k < len(first))):
+            if there:
+                share = np.clip(1.0 - np.abs(way[rows] - way[at]) / reach, 0.0, 1.0)
+                out[rows] += (share**3 * (10.0 - 15.0 * share + 6.0 * share**2))[:, None] * out[at]
+
+
+def asked_trajectory(cell: Cell, trajectory: Trajectory, corrections: Corrections) -> Trajectory:
+    """The motion that a program asks for: at each sample the same posture, but for a displaced tip; of the same branch.
+
+    Raises ValueError where a displaced nozzle cannot be reached.
+    """
+    t = trajectory
+    shift = displacements(corrections, t)
+    moved = np.flatnonzero((shift != 0.0).any(axis=1))
+    q, tip = t.q.copy(), t.tip + shift
+    for rows in np.array_split(moved, 1 + len(moved) // BLOCK):
+        T_part_nozzle = np.tile(np.eye(4), (len(rows), 1, 1))
+        T_part_nozzle[:, :3, :3] = Rotation.from_quat(t.quat[rows]).as_matrix()
+        T_part_nozzle[:, :3, 3] = tip[rows]
+        q[rows], exist = cell.postures(T_part_nozzle, t.q[rows], t.branch[rows].astype(np.intp))
+        if not exist.all():
+            raise ValueError("a displaced nozzle is out of reach")
+    return replace(t, q=q, tip=tip)
+
+
+def corrections_of(problem: Problem, toolpath: Toolpath) -> Corrections | None:
+    """The corrections that a problem names; None where it names none. Raises InputError."""
+    spec = problem.as_run
+    if spec is None:
+        return None
+    corrections = read_corrections(spec.corrections, toolpath, partial(problem.error, "as_run.corrections"))
+    if corrections.most > spec.most * (1.0 + ROUNDING):
+        reason = f"{spec.corrections.name} displaces by {corrections.most * 1e3:.4g} mm, more than the {spec.most * 1e3:g} allowed"
+        raise problem.error("as_run.most_mm", reason, f"at least {corrections.most * 1e3:.4g}")
+    return corrections
+
+
+def asked_of(problem: Problem, cell: Cell, toolpath: Toolpath, trajectory: Trajectory) -> Trajectory | None:
+    """What the program of a problem is to ask for; None where that is the plan. Raises InputError."""
+    corrections = corrections_of(problem, toolpath)
+    if corrections is None:
+        return None
+    try:
+        return asked_trajectory(cell, trajectory, corrections)
+    except ValueError as error:
+        raise problem.error("as_run.corrections", str(error)) from None

@@ -1,0 +1,112 @@
+"""Checks of what a program asks for where runs have taught that a robot executes something else than it is asked for.
+
+The plan is verified as what the robot executes. What its program asks for leaves it by a little: it must be what the file
+of corrections says, and the robot must be safe even if it did just that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.base.errors import InputError
+from planner.cell.cell import Cell
+from planner.collision.print_body import PrintBody, print_body, standing
+from planner.plan import Check, Trajectory
+from planner.problem import Problem
+from planner.toolpath.bead import Toolpath
+from planner.verify.checks import EVERYWHERE, Findings, Judged, check_most
+from planner.verify.collision import keep_apart, sweep_cell
+from planner.verify.executed import executed_motion
+from planner.verify.nozzle import beyond
+from planner.verify.verdict import joint_limits
+
+WITHIN = 2e-5  # m: the tip against what the file says, as against the path
+TURNED = np.radians(0.05)  # rad: its axis against the plan's
+LIMITS = ("joint range", "rail range", "joint velocity")  # acceleration is the controller's own to plan
+ASKED = "asked "  # before names of all checks here; some the plan's own motion has as well
+_SAME = ("dt", "t", "bead", "layer", "deposit", "s", "speed", "flow", "extruded", "feed", "events", "first_bead")
+_FIELDS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")
+
+
+def as_run(
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    trajectory: Trajectory,
+    asked: Trajectory | None,
+    body: PrintBody | None = None,
+) -> Findings:
+    """Checks and metrics of the motion that programs ask for; none where that is the plan's own.
+
+    body: as for `verify`. Raises InputError for a file of corrections that cannot be read.
+    """
+    spec = problem.as_run
+    if spec is None and asked is None:
+        return Findings()
+    if spec is None or asked is None or len(asked) != len(trajectory):
+        return Findings((Check("asked as learned", 1.0, 0.0, "motions that are not", False, EVERYWHERE),))
+    body = body or print_body(toolpath, standing(cell))
+    shift = learned_shifts(spec.corrections, trajectory)
+    most = float(np.linalg.norm(shift, axis=1).max(initial=0.0))
+    # executed motion keeps the distances asked for; the asked one may come nearer by as much as it is beside it
+    keep = problem.collision
+    nearer = keep.model_copy(update={"nozzle": max(keep.nozzle - most, 0.0), "arm": max(keep.arm - most, 0.0)})
+    eased = problem.model_copy(update={"collision": nearer, "as_run": None})
+    with ThreadPoolExecutor() as pool:
+        apart = pool.submit(sweep_cell, eased, cell, toolpath, asked, body)
+        judged = Judged(eased, cell, toolpath, asked, executed_motion(cell, asked), body)
+        # the tip's own rule is left to the plan's motion: where the tip is asked to be, the nozzle does not come
+        near = beyond(judged)
+        off = np.linalg.norm(judged.motion.tip - trajectory.tip, axis=1)
+        checks = [
+            _as_learned(judged, trajectory, shift),
+            check_most(asked, "asked off the plan", off * 1e3, spec.most * 1e3, "mm"),
+            *_renamed(check for check in joint_limits(judged).checks if check.name in LIMITS),
+            *_renamed(keep_apart(judged, (near, near), apart.result())[0].checks),
+        ]
+    return Findings(tuple(checks), {"asked_off_max_mm": float(off.max()) * 1e3})
+
+
+def learned_shifts(path: Path, t: Trajectory) -> Array:
+    """By how much a file of corrections has the tip displaced (n, 3) [m] where material is laid; 0 elsewhere.
+
+    Raises InputError for a file that cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8") as stream:
+            names = [name.strip() for name in stream.readline().split(",")]
+            table = np.loadtxt(stream, delimiter=",", usecols=[names.index(name) for name in _FIELDS], ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError("is no file of corrections", file=path, hint="beadwise learn writes them") from error
+    out = np.zeros((len(t), 3))
+    for bead in np.unique(t.bead[t.deposit]):
+        rows, own = table[table[:, 0] == bead], t.deposit & (t.bead == bead)
+        if len(rows):
+            k = np.clip(np.searchsorted(rows[:, 1], t.s[own] * 1e3), 1, max(len(rows) - 1, 1))
+            a, b = rows[k - 1], rows[np.minimum(k, len(rows) - 1)]
+            gap = np.where(b[:, 1] > a[:, 1], b[:, 1] - a[:, 1], 1.0)
+            share = np.clip((t.s[own] * 1e3 - a[:, 1]) / gap, 0.0, 1.0)[:, None]
+            out[own] = (a[:, 2:] + share * (b[:, 2:] - a[:, 2:])) * 1e-3
+    return out
+
+
+def _as_learned(judged: Judged, planned: Trajectory, shift: Array) -> Check:
+    """On beads the asked tip is the plan's, displaced as the file says, its axis the same, and all else as planned."""
+    asked = judged.trajectory
+    other = [name for name in _SAME if not np.array_equal(getattr(asked, name), getattr(planned, name))]
+    off = np.linalg.norm(judged.motion.tip - planned.tip - shift, axis=1)
+    leant = np.arccos(np.clip((judged.motion.axis * planned.axis).sum(axis=1), -1.0, 1.0))
+    worst = np.where(planned.deposit, np.maximum(off / WITHIN, leant / TURNED), leant / TURNED)
+    found = check_most(asked, "asked as learned", worst, 1.0, "of what may differ")
+    return replace(found, ok=False, where=f"other {', '.join(other)}") if other else found
+
+
+def _renamed(checks: Iterator[Check] | tuple[Check, ...]) -> Iterator[Check]:
+    for check in checks:
+        yield replace(check, name=ASKED + check.name)
