@@ -26,6 +26,7 @@ OFF, GAIN = "off_mm", "gain"
 BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy_mm", "left_dz_mm")
 WORTH = 0.9  # of what the run before was off: a run that leaves more has hardly anything left to teach
 WORST = 3  # places that are named
+NEAR = 0.1  # mm
 APART = 5e-3  # m along a bead between these
 AT_SPEED = 0.02  # of a bead's speed
 _RUN = "_run_"  # before the number of a run in the name of its problem
@@ -112,7 +113,8 @@ def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list
     out = [
         *way.remarks,
         f"run {run}: {seen:.1%} of the samples on beads recorded; the tip is off the plan by {rms:.3f} mm (rms), "
-        f"{nearly:.3f} (99 %), {most:.3f} at most; one recorded tip is {errors.noise * 1e3:.3f} mm noisy",
+        f"{nearly:.3f} (99 %), {most:.3f} at most, and within {NEAR:g} mm for {(size <= NEAR).mean():.1%} of the time; one "
+        f"recorded tip is {errors.noise * 1e3:.3f} mm noisy",
     ]
     asked = plan.commanded[t.bead[rows]]
     speed = errors.speed[rows]

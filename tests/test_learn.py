@@ -1,0 +1,624 @@
+"""Programs that learn from runs: recordings held against their plan, corrections, and how what is asked for is verified."""
+
+from __future__ import annotations
+
+import csv
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from solved import small_plan, small_problem
+
+from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
+from planner.base.arrays import Array
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
+from planner.base.progress import Stages
+from planner.cell.cell import build_cell
+from planner.export.languages import LANGUAGES, chosen
+from planner.export.player.executed import followed
+from planner.feedback.identify_log import read_log
+from planner.feedback.learn_command import language_of, learned_plan, main, ran_plan
+from planner.feedback.learn_fit import (
+    Lessons,
+    RunErrors,
+    _smoothed,
+    bends,
+    errors_of,
+    evened,
+    less_around,
+    next_lessons,
+)
+from planner.feedback.learn_telling import next_name, write_lessons, write_problem
+from planner.feedback.learn_track import PlannedWay, planned_way, recorded_way, track
+from planner.feedback.planned import planned_problem
+from planner.motion.as_run import FADE, Corrections, asked_trajectory, displacements, read_corrections
+from planner.plan import Plan, Trajectory
+from planner.plan.seal import changed_since, sealed
+from planner.planning.pipeline import as_it_is, solve, with_asked
+from planner.problem import Problem, load_problem
+from planner.problem.as_run import AsRunSpec
+from planner.verify.as_run import as_run
+
+MOST = 1e-3
+WRONG = partial(InputError, field="corrections")
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return small_plan()
+
+
+@cache
+def first_run() -> tuple[Array, Array]:
+    """Time and joints of the first run of the small plan's program on a simulated IRC5."""
+    return recorded(small_plan(), ROBOTS["as fitted"])
+
+
+def log_of(plan: Plan, folder: Path, noise: float = 0.0, **changes: Any) -> Path:
+    time, q = first_run()
+    return write_log(plan, changes.get("time", time), changes.get("q", q), noise, 1, folder / "run.csv")
+
+
+def lessons_of(plan: Plan, folder: Path) -> tuple[RunErrors, Lessons]:
+    way = recorded_way(plan, read_log(log_of(plan, folder), plan.cell), "rapid")
+    errors = errors_of(plan.trajectory, way)
+    return errors, next_lessons(plan.trajectory, errors, None, MOST)
+
+
+def with_corrections(plan: Plan, corrections: Corrections, folder: Path, most: float = MOST) -> Plan:
+    """The plan whose program is corrected, with its file of corrections in a folder."""
+    k = len(corrections.s)
+    lessons = Lessons(corrections, np.zeros((k, 3)), np.zeros((k, 3)), np.ones(k))
+    n = len(plan.trajectory)
+    nothing = RunErrors(np.zeros((n, 3)), np.zeros(n, dtype=bool), np.full(n, np.nan), 0.0)
+    write_lessons(lessons, plan.trajectory, nothing, folder / "corrections.csv")
+    spec = AsRunSpec.model_construct(corrections=folder / "corrections.csv", most=most)
+    problem = plan.problem.model_copy(update={"as_run": spec})
+    return with_asked(replace(plan, problem=problem), Stages())
+
+
+@cache
+def corrected() -> Plan:
+    """The small plan with what its first run taught, and a file that stays."""
+    folder = Path(_KEPT.name)
+    return with_corrections(small_plan(), lessons_of(small_plan(), folder)[1].corrections, folder)
+
+
+_KEPT = tempfile.TemporaryDirectory()
+
+
+def failed(plan: Plan, asked: Trajectory | None) -> set[str]:
+    found = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, asked)
+    return {check.name for check in found.checks if not check.ok}
+
+
+# ----------------------------------------------------------------------------------------------------
+# A run against its plan.
+
+
+def brute_place(plan: PlannedWay, point: Array) -> float:
+    a, b = plan.points[:-1], plan.points[1:]
+    step = b - a
+    u = np.clip(((point - a) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
+    k = int(np.argmin(np.linalg.norm(a + u[:, None] * step - point, axis=1)))
+    return k + float(u[k])
+
+
+@given(seed=st.integers(0, 1000), every=st.floats(0.2, 3.0))
+@settings(max_examples=20)
+def test_places_along_an_open_curve_are_the_nearest_ones(seed: int, every: float) -> None:
+    random = np.random.default_rng(seed)
+    x = np.linspace(0.0, 0.05, 101)
+    tip = np.column_stack([x, 0.004 * np.sin(90.0 * x + seed), np.zeros(101)])
+    axis = np.tile([0.0, 0.0, -1.0], (101, 1))
+    at = np.append(np.arange(0.0, 100.0, every), 100.0)
+    run = np.column_stack([np.interp(at, np.arange(101), column) for column in tip.T])
+    run += random.normal(0.0, 2e-5, run.shape)
+    way = planned_way(tip, axis)
+    place, off = track(way, planned_way(run, np.tile(axis[0], (len(run), 1))), 0)
+    there = [brute_place(way, np.append(point, 0.05 * axis[0])) for point in run]
+    assert place == pytest.approx(np.array(there), abs=0.35)
+    assert off.max() < 2e-4
+
+
+def test_a_run_keeps_its_order_on_lines_that_lie_beside_each_other() -> None:
+    """A zig-zag whose lines are 1 mm apart, run 0.6 mm aside: nearer to the next line than to its own."""
+    lines = [np.column_stack([np.linspace(0, 0.03, 61)[:: 1 - 2 * (k % 2)], np.full(61, 1e-3 * k)]) for k in range(6)]
+    tip = np.column_stack([np.vstack(lines), np.zeros(366)])
+    axis = np.tile([0.0, 0.0, -1.0], (366, 1))
+    run = tip + [0.0, 0.6e-3, 0.0]
+    place, _ = track(planned_way(tip, axis), planned_way(run, axis), 0)
+    middle = np.abs(np.arange(366) % 61 - 30) < 20
+    assert np.abs(place - np.arange(366))[middle].max() < 3.0
+
+
+def test_rests_in_a_run_stay_where_they_are(plan: Plan) -> None:
+    q = first_run()[1]
+    k = len(q) // 2
+    q = np.vstack([np.tile(q[0], (300, 1)), q[:k], np.tile(q[k], (500, 1)), q[k:], np.tile(q[-1], (100, 1))])
+    rested = errors_of(plan.trajectory, true_way(plan, 4e-3 * np.arange(len(q)), q))
+    moved = errors_of(plan.trajectory, true_way(plan, *first_run()))
+    assert rested.known.all() == moved.known.all()
+    assert rested.off == pytest.approx(moved.off, abs=2e-6)
+
+
+def test_what_is_off_across_the_path_is_found_and_what_is_along_it_is_not(plan: Plan) -> None:
+    t = plan.trajectory
+    aside = np.zeros((len(t), 3))
+    aside[t.deposit] = [0.0, 0.0, 0.3e-3]  # along the cylinder's axis
+    moved = replace(t, tip=t.tip + aside)
+    q = asked_trajectory(plan.cell, t, corrections_by(t, lambda s: np.tile([0.0, 0.0, 0.3e-3], (len(s), 1)))).q
+    errors = errors_of(t, true_way(plan, t.t, q))
+    along = np.gradient(t.tip, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    expected = moved.tip - t.tip
+    expected -= (expected * along).sum(axis=1, keepdims=True) * along
+    inside = t.deposit & np.roll(t.deposit, 12) & np.roll(t.deposit, -12)
+    straight = inside & ((along * np.roll(along, 12, axis=0)).sum(axis=1) > 0.999)
+    straight &= (along * np.roll(along, -12, axis=0)).sum(axis=1) > 0.999
+    assert errors.off[straight] == pytest.approx(expected[straight], abs=5e-6)
+    assert errors.known[t.deposit].all()
+
+
+def corrections_by(t: Trajectory, shift: Callable[[Array], Array]) -> Corrections:
+    """Corrections every millimetre or so of all beads, by arc length."""
+    beads, places, shifts = [], [], []
+    for bead in np.unique(t.bead[t.deposit]):
+        s = t.s[t.deposit & (t.bead == bead)][::6]
+        beads.append(np.full(len(s), bead))
+        places.append(s)
+        shifts.append(shift(s))
+    return Corrections(np.concatenate(beads).astype(np.int64), np.concatenate(places), np.concatenate(shifts))
+
+
+def test_noise_of_a_recording_is_told(plan: Plan, tmp_path: Path) -> None:
+    noise = np.radians(0.01)
+    way = recorded_way(plan, read_log(log_of(plan, tmp_path, noise), plan.cell), "rapid")
+    errors = errors_of(plan.trajectory, way)
+    _, q = first_run()
+    clean = plan.cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
+    true = float((way.tip - clean).std())
+    assert errors.noise == pytest.approx(true, rel=0.15)
+
+
+@pytest.mark.parametrize("unit", ["rad", "deg", ""])
+def test_units_are_read_off_the_recording_where_names_do_not_tell_them(plan: Plan, tmp_path: Path, unit: str) -> None:
+    time, q = first_run()
+    names = ["t_s", *(f"J{j}{'_' + unit if unit else ''}" for j in range(1, 7)), f"E1{'_' + unit if unit else ''}"]
+    values = q if unit == "rad" else np.degrees(q)
+    np.savetxt(tmp_path / "a.csv", np.column_stack([time, values]), delimiter=",", header=",".join(names), comments="")
+    way = recorded_way(plan, read_log(tmp_path / "a.csv", plan.cell), "rapid")
+    assert way.off[: len(way.off) // 2].max() < 3e-3
+    assert bool(way.remarks) == (unit == "")
+
+
+def test_a_gap_teaches_nothing_there(plan: Plan, tmp_path: Path) -> None:
+    time, q = first_run()
+    on = np.flatnonzero(np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-4)
+    a = int(on[len(on) // 2])
+    kept = np.ones(len(q), dtype=bool)
+    kept[a : a + 12] = False
+    path = write_log(plan, time[kept], q[kept], 0.0, 1, tmp_path / "gap.csv")
+    errors = errors_of(plan.trajectory, recorded_way(plan, read_log(path, plan.cell), "rapid"))
+    whole = errors_of(plan.trajectory, true_way(plan, time, q))
+    assert errors.off[errors.known] == pytest.approx(whole.off[errors.known], abs=2e-5)
+    assert len(recorded_way(plan, read_log(path, plan.cell), "rapid").gaps) == 1
+
+
+def another_program(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
+    q = q.copy()
+    q[len(q) // 3 :, 0] += np.radians(3.0) * np.linspace(0.0, 1.0, len(q) - len(q) // 3)
+    return time, q
+
+
+BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] = {
+    "another program": (another_program, "off the plan at bead"),
+    "another start": (lambda plan, time, q: (time, q + 0.2), "never is where the program begins"),
+    "joints in another order": (
+        lambda plan, time, q: (time, np.roll(q, 1, axis=1)),
+        "never is where the program begins",
+    ),
+    "too few samples": (lambda plan, time, q: (time[::20], q[::20]), "too few samples: one every 80 ms"),
+    "an end before the first bead's": (lambda plan, time, q: (time[:120], q[:120]), "ends before the first bead does"),
+    "a clock that runs back": (
+        lambda plan, time, q: (np.where(time > 1.0, time - 0.5, time), q),
+        "the clock runs back",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_recording_of_something_else_is_refused(
+    plan: Plan, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    spoil, words = BAD[name]
+    time, q = spoil(plan, *first_run())
+    saved = plan.save(tmp_path / "small.plan")
+    log = write_log(plan, time, q, 0.0, 1, tmp_path / "run.csv")
+    assert main([str(saved), str(log), "--out", str(tmp_path / "out"), "--quiet"]) == EXIT_INPUT
+    told = capsys.readouterr().err
+    assert words in told and "run.csv" in told
+    assert not (tmp_path / "out").exists()
+
+
+# ----------------------------------------------------------------------------------------------------
+# Corrections.
+
+
+@given(
+    seed=st.integers(0, 10_000), n=st.integers(3, 80), step=st.integers(1, 7), noise=st.sampled_from([0.0, 1e-5, 1e-4])
+)
+@settings(max_examples=40)
+def test_smoothing_is_the_least_of_its_sum_of_squares(seed: int, n: int, step: int, noise: float) -> None:
+    """The banded solution against a dense one."""
+    random = np.random.default_rng(seed)
+    off, known = random.normal(0.0, 1e-4, (n, 3)), random.random(n) < 0.8
+    knots = np.unique(np.append(np.arange(0, n, step), n - 1))
+    k = len(knots)
+    B = np.column_stack([np.interp(np.arange(n), knots, row) for row in np.eye(k)])
+    D = np.diff(np.eye(k), n=2, axis=0)
+    stiff = (max(noise, 2e-6) / 1e-4) ** 2
+    matrix = B[known].T @ B[known] + stiff * D.T @ D + (1e-9 + 1e-3 * stiff) * np.eye(k)
+    dense = np.linalg.solve(matrix, B[known].T @ off[known])
+    assert _smoothed(off, known, knots, noise) == pytest.approx(dense, abs=1e-9)
+
+
+def toy_errors(t: Trajectory, executed: Array) -> RunErrors:
+    return RunErrors(np.where(t.deposit[:, None], executed, 0.0), t.deposit, np.full(len(t), np.nan), 0.0)
+
+
+def test_lessons_bring_a_robot_that_follows_to_its_plan_and_one_that_does_the_contrary_do_no_harm(plan: Plan) -> None:
+    t = plan.trajectory
+    off = 0.3e-3 * np.column_stack([np.sin(40.0 * t.s / t.s.max()), np.cos(9.0 * t.s / t.s.max()), np.ones(len(t))])
+    left = {}
+    for sign in (1.0, -1.0):
+        lessons, size = None, []
+        for _ in range(6):
+            shift = np.zeros_like(off) if lessons is None else displacements(lessons.corrections, t)
+            errors = toy_errors(t, off + sign * followed(shift, 0.02, t.dt))
+            size.append(float(np.sqrt((errors.off[t.deposit] ** 2).sum(axis=1).mean())))
+            lessons = next_lessons(t, errors, lessons, MOST)
+        left[sign] = np.array(size) / size[0]
+    assert left[1.0][5] < 0.15
+    assert (np.diff(left[1.0]) < 0.01).all()
+    # with each try it goes less far from what did no harm
+    assert left[-1.0][1] > 1.5
+    assert (np.diff(left[-1.0][1:]) < 0.0).all()
+    assert left[-1.0][5] < 1.15
+
+
+def test_what_bends_most_is_evened_and_what_is_not_safe_is_made_smaller() -> None:
+    shift = np.zeros((9, 3))
+    shift[4, 0], shift[7, 1] = 1e-3, 1e-3
+    bead = np.array([0] * 6 + [1] * 3)
+    corrections = Corrections(bead, np.arange(9) * 1e-3, shift)
+    assert bends(corrections)[[0, 3, 4, 5, 6, 7]] == pytest.approx([0.0, 0.5e-3, 1e-3, 0.0, 0.0, 1e-3])
+    even = evened(corrections, 0.7e-3)
+    assert even.shift[[4, 7]].max(axis=1) == pytest.approx([0.5e-3, 0.5e-3])
+    assert even.shift[3] == pytest.approx(0.0)
+    less = less_around(corrections, 0, 4e-3, 2e-3)
+    assert less.shift[[4, 7]].max(axis=1) == pytest.approx([0.5e-3, 1e-3])
+
+
+def test_displacements_are_straight_between_places_and_fade_beyond_beads(plan: Plan) -> None:
+    t = plan.trajectory
+    corrections = corrections_by(t, lambda s: np.column_stack([0.2e-3 * np.sin(300.0 * s), 0.0 * s, 0.1e-3 + 0.0 * s]))
+    shift = displacements(corrections, t)
+    at = t.deposit & (t.bead == 1)
+    own = corrections.bead == 1
+    for axis in range(3):
+        expected = np.interp(t.s[at], corrections.s[own], corrections.shift[own, axis])
+        assert shift[at, axis] == pytest.approx(expected, abs=1e-12)
+    assert shift[0] == pytest.approx(0.0) and shift[-1] == pytest.approx(0.0)
+    way = np.linalg.norm(np.diff(t.tip, axis=0), axis=1)
+    # nowhere does it change by more than the fade's steepest slope
+    assert (np.linalg.norm(np.diff(shift, axis=0), axis=1) <= 0.5 * way + 1e-7).all()
+    before = np.cumsum(way[::-1])[::-1]
+    first = int(np.argmax(t.deposit))
+    far = np.flatnonzero(before[:first] - before[first] > FADE)
+    assert np.abs(shift[far]).max() == 0.0
+
+
+def test_the_asked_joints_hold_the_displaced_tip_and_the_same_axis(plan: Plan) -> None:
+    t, asked = plan.trajectory, corrected().asked
+    assert asked is not None
+    T = plan.cell.T_part_nozzle(np.ascontiguousarray(asked.q))
+    assert T[:, :3, 3] == pytest.approx(asked.tip, abs=1e-9)
+    assert T[:, :3, 2] == pytest.approx(t.axis, abs=1e-9)
+    assert np.linalg.norm(asked.tip - t.tip, axis=1).max() > 0.2e-3
+    assert (asked.q[:, 6:] == t.q[:, 6:]).all()
+
+
+@pytest.mark.parametrize("name", ["rail_panel", "peer_cap"])
+def test_arms_on_rails_and_others_are_displaced_likewise(name: str) -> None:
+    cell = build_cell(load_problem(name))
+    random = np.random.default_rng(3)
+    q = cell.home + random.uniform(-0.05, 0.05, (40, len(cell.home)))
+    T = cell.T_part_nozzle(q)
+    branch = np.array([int(b) for b in cell.inverse.branches(q[:, : len(cell.arm)])])
+    T[:, :3, 3] += random.uniform(-5e-4, 5e-4, (40, 3))
+    found, exist = cell.postures(T, q, branch)
+    assert exist.all()
+    assert cell.T_part_nozzle(np.ascontiguousarray(found)) == pytest.approx(T, abs=1e-8)
+    assert np.abs(found - q).max() < 0.05
+    assert (found[:, list(cell.chosen)] == q[:, list(cell.chosen)]).all()
+
+
+ROWS = "bead,s_mm,dx_mm,dy_mm,dz_mm\n0,0.0,0.1,0,0\n0,1.0,0.1,0,0\n1,0.5,0,0.1,0\n"
+SPOILT: dict[str, tuple[Callable[[str], str], str]] = {
+    "no column": (lambda text: text.replace("dz_mm", "z"), "no column dz_mm"),
+    "empty": (lambda text: "", "no column bead"),
+    "no number": (lambda text: text.replace("1.0,0.1", "x,0.1"), "line 3: not 5 numbers"),
+    "a short row": (lambda text: text.replace("0,1.0,0.1,0,0", "0,1.0"), "line 3: not 5 numbers"),
+    "not finite": (lambda text: text.replace("1.0,0.1", "1.0,nan"), "line 3: a number is not finite"),
+    "no such bead": (lambda text: text.replace("\n1,", "\n7,"), "line 4: no bead of the 3 that there are"),
+    "half a bead": (lambda text: text.replace("\n1,", "\n1.5,"), "line 4: no bead of the 3 that there are"),
+    "beyond the bead": (lambda text: text.replace("\n1,0.5", "\n1,5000"), "line 4: beyond the end of its bead"),
+    "backwards": (lambda text: text.replace("0,1.0", "0,-0.0"), "line 3: not behind the place before"),
+    "out of order": (lambda text: text + "0,3.0,0,0,0\n", "line 5: not behind the place before"),
+}
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_file_that_holds_no_corrections_is_refused_by_line(plan: Plan, tmp_path: Path, name: str) -> None:
+    spoil, words = SPOILT[name]
+    path = tmp_path / "corrections.csv"
+    path.write_text(spoil(ROWS), encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_corrections(path, plan.toolpath, WRONG)
+    path.write_text(ROWS, encoding="utf-8")
+    assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
+
+
+def learned_problem(folder: Path, rows: str, most: float) -> Problem:
+    """The small problem with corrections of some rows."""
+    (folder / "corrections.csv").write_text(rows, encoding="utf-8")
+    target = folder / "small_run_2.yaml"
+    target.write_text(write_problem(small_problem(), most, folder), encoding="utf-8")
+    return load_problem(target)
+
+
+@pytest.mark.parametrize(
+    ("rows", "most", "words"),
+    [
+        (ROWS, 0.05e-3, "as_run.most_mm: corrections.csv displaces by 0.1 mm, more than the 0.05 allowed"),
+        (
+            ROWS.replace("dz_mm", "up"),
+            1e-3,
+            "as_run.corrections: corrections.csv holds no corrections: no column dz_mm",
+        ),
+    ],
+)
+def test_corrections_that_cannot_be_are_refused_before_anything_is_planned(
+    tmp_path: Path, rows: str, most: float, words: str
+) -> None:
+    with pytest.raises(InputError) as refused:
+        solve(learned_problem(tmp_path, rows, most))
+    assert words in str(refused.value) and "small_run_2.yaml:" in str(refused.value)
+
+
+def test_a_message_of_samples_is_not_written_for_corrections(tmp_path: Path) -> None:
+    problem = learned_problem(tmp_path, ROWS, 1e-3)
+    with pytest.raises(InputError, match="joint_trajectory cannot say this: as_run displaces targets"):
+        solve(problem.changed(["program.languages=[joint_trajectory]"]))
+
+
+# ----------------------------------------------------------------------------------------------------
+# What is asked for, verified.
+
+
+def test_what_is_asked_is_verified(plan: Plan) -> None:
+    own = corrected()
+    names = {check.name for check in own.checks} - {check.name for check in plan.checks}
+    assert own.verified
+    assert {
+        "asked as learned",
+        "asked off the plan",
+        "asked joint range",
+        "asked joint velocity",
+        "asked nozzle clear of part and print",
+        "asked arm clear of part and print",
+        "asked robots clear of each other and of fixtures",
+    } == names
+    assert own.metrics["asked_off_max_mm"] == pytest.approx(
+        float(np.linalg.norm(own.asked.tip - plan.trajectory.tip, axis=1).max()) * 1e3 if own.asked else np.nan
+    )
+
+
+def moved_aside(t: Trajectory, own: Plan) -> Trajectory:
+    k = np.flatnonzero(t.deposit)[len(t) // 10]
+    q = t.q.copy()
+    q[k, 0] += 3e-4
+    return replace(t, q=q)
+
+
+def leant(t: Trajectory, own: Plan) -> Trajectory:
+    q = t.q.copy()
+    q[:, 5] += 0.3  # about the flange, beside which the nozzle stands
+    return replace(t, q=q)
+
+
+def beyond_range(t: Trajectory, own: Plan) -> Trajectory:
+    q = t.q.copy()
+    q[5:9, 1] = own.cell.limits.q_max[1] + 0.01
+    return replace(t, q=q)
+
+
+CORRUPTED: dict[str, tuple[Callable[[Trajectory, Plan], Trajectory], set[str]]] = {
+    "a place aside": (moved_aside, {"asked as learned"}),
+    "another axis": (leant, {"asked as learned", "asked off the plan"}),
+    "other times": (lambda t, own: replace(t, t=t.t + 0.001), {"asked as learned"}),
+    "other flow": (lambda t, own: replace(t, flow=1.1 * t.flow), {"asked as learned"}),
+    "beyond a joint's range": (beyond_range, {"asked joint range", "asked joint velocity"}),
+    "the plan itself": (lambda t, own: own.trajectory, {"asked as learned"}),
+}
+
+
+@pytest.mark.parametrize("name", CORRUPTED)
+def test_an_asked_motion_that_is_not_as_learned_fails(name: str) -> None:
+    spoil, names = CORRUPTED[name]
+    own = corrected()
+    assert own.asked is not None
+    assert names <= failed(own, spoil(own.asked, own))
+
+
+def test_no_asked_motion_where_one_was_learned_fails_and_one_where_none_was_too(plan: Plan) -> None:
+    own = corrected()
+    assert failed(own, None) == {"asked as learned"}
+    assert failed(plan, own.asked) == {"asked as learned"}
+    assert failed(plan, None) == set()
+
+
+def test_corrections_into_the_part_fail_and_those_beyond_the_bound(plan: Plan, tmp_path: Path) -> None:
+    """Ten millimetres along the nozzle's axis: the head comes where the part is."""
+    t = plan.trajectory
+    into = corrections_by(t, lambda s: np.zeros((len(s), 3)))
+    axis = np.vstack([t.axis[t.deposit & (t.bead == bead)][::6] for bead in np.unique(t.bead[t.deposit])])
+    into = Corrections(into.bead, into.s, 0.03 * axis)
+    own = with_corrections(plan, into, tmp_path, most=0.05)
+    assert "asked nozzle clear of part and print" in {check.name for check in own.checks if not check.ok}
+    tight = own.problem.model_copy(
+        update={"as_run": AsRunSpec.model_construct(corrections=tmp_path / "corrections.csv", most=1e-3)}
+    )
+    found = as_run(tight, own.cell, own.toolpath, own.trajectory, own.asked)
+    assert "asked off the plan" in {check.name for check in found.checks if not check.ok}
+
+
+def test_a_file_that_was_changed_since_is_seen(tmp_path: Path, plan: Plan) -> None:
+    own = with_corrections(plan, lessons_of(plan, tmp_path)[1].corrections, tmp_path)
+    path = tmp_path / "corrections.csv"
+    rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    rows[len(rows) // 2][2] = "0.5"
+    path.write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
+    assert failed(own, own.asked) == {"asked as learned"}
+
+
+def test_programs_ask_for_the_asked_motion_and_differ_from_one_that_asks_for_the_plan(plan: Plan) -> None:
+    own, rapid = corrected(), LANGUAGES["rapid"]
+    files = rapid.write(own)
+    assert rapid.differences(own, files) == []
+    assert any("path differs" in words for words in rapid.differences(plan, files))
+
+
+def test_plan_and_asked_motion_come_back_from_a_file_and_a_changed_one_is_seen(tmp_path: Path) -> None:
+    own = corrected()
+    back = Plan.load(sealed(own).save(tmp_path / "learned.plan"))
+    assert back.asked is not None and own.asked is not None
+    assert (back.asked.q == own.asked.q).all()
+    assert changed_since(back) == ()
+    spoilt = replace(back, asked=moved_aside(back.asked, back))
+    assert changed_since(spoilt) == ("asked",)
+    assert {check.name for check in as_it_is(spoilt).checks if not check.ok} == {"asked as learned"}
+
+
+# ----------------------------------------------------------------------------------------------------
+# Run by run.
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_runs_bring_simulated_robots_to_their_plan(plan: Plan, robot: str) -> None:
+    """To a quarter of what they were off, root mean square, within three runs that teach."""
+    rows = [run.figures(plan) for run in runs_of(plan, ROBOTS[robot], 3, np.radians(0.001))]
+    rms, nearly, most = (np.array(column) for column in list(zip(*rows, strict=True))[:3])
+    assert rms[0] > 0.1
+    assert rms[3] < 0.25 * rms[0]
+    assert nearly[3] < 0.5 * nearly[0]
+    assert most[3] < most[0]
+
+
+def test_the_command_writes_a_program_that_is_nearer_and_goes_on_from_its_own_folder(
+    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = plan.save(tmp_path / "small.plan")
+    out = tmp_path / "second"
+    assert main([str(saved), str(log_of(plan, tmp_path)), "--out", str(out), "--quiet"]) == EXIT_VERIFIED
+    told = capsys.readouterr().out
+    assert "run 1: 100.0% of the samples on beads recorded" in told and "most off:" in told
+    assert {"corrections.csv", "learned.png", "small_run_2.yaml", "SmallRun2.mod", "plan.json", "manifest.json"} <= {
+        path.name for path in out.iterdir()
+    }
+    held = json.loads((out / "plan.json").read_text(encoding="utf-8"))
+    assert held["verified"] and held["problem_file"] == (out / "small_run_2.yaml").as_posix()
+    foretold = json.loads((out / "forecast.json").read_text(encoding="utf-8"))["forecasts"]["rapid"]
+    assert "off the plan, as learned" in foretold["words"][0]
+    assert foretold["off_mm"] < 0.7 * 1e3 * errors_of(plan.trajectory, true_way(plan, *first_run())).size.max()
+    # what its problem file gives is the same program
+    second = ran_plan(str(out), (), None, Stages())
+    assert (
+        LANGUAGES["rapid"].write(second)["SmallRun2.mod"].splitlines()[-40:]
+        == ((out / "SmallRun2.mod").read_text(encoding="utf-8").splitlines()[-40:])
+    )
+    # and the third run goes on from there
+    time, q = recorded(second, ROBOTS["as fitted"])
+    log = write_log(second, time, q, 0.0, 2, tmp_path / "run2.csv")
+    third = tmp_path / "third"
+    assert main([str(out), str(log), "--out", str(third), "--quiet"]) == EXIT_VERIFIED
+    told = capsys.readouterr().out
+    assert "run 2: 100.0%" in told
+    assert next_name(load_problem(out / "small_run_2.yaml")) == "small_run_3"
+    assert (third / "small_run_3.yaml").is_file()
+    rows = list(csv.DictReader((third / "corrections.csv").read_text(encoding="utf-8").splitlines()))
+    assert {float(row["gain"]) for row in rows} <= {0.5, 1.0}
+
+
+def test_a_program_that_cannot_be_safe_is_not_written(plan: Plan, tmp_path: Path) -> None:
+    """A clearance that no asked motion keeps: what fails is told, with no program."""
+    errors, lessons = lessons_of(plan, tmp_path)
+    narrow = plan.problem.collision.model_copy(update={"nozzle": 0.049, "arm": 0.049})
+    spoilt = replace(plan, problem=plan.problem.model_copy(update={"collision": narrow}))
+    learned = learned_plan(spoilt, lessons, errors, MOST, language_of(plan), Stages())
+    assert "asked robots clear of each other and of fixtures" in {check.name for check in learned.failed}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--most-mm", "0"], "not a length in mm from 0.01 to 5"),
+        (["--most-mm", "x"], "not a length in mm from 0.01 to 5"),
+    ],
+)
+def test_options_out_of_range_are_told(arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["peer_cap", "run.csv", *arguments])
+    assert ended.value.code == EXIT_INPUT
+    assert words in capsys.readouterr().err
+
+
+def test_arms_without_a_controller_that_plans_lines_are_refused() -> None:
+    problem = small_problem().changed(["program.languages=[joint_trajectory]"])
+    setup = replace(small_plan(), problem=problem)
+    assert "rapid" not in chosen(setup).names
+    with pytest.raises(InputError, match="no program of lines is written"):
+        language_of(setup)
+
+
+# ----------------------------------------------------------------------------------------------------
+# What was planned.
+
+
+def test_a_folder_of_results_of_ones_own_problem_tells_its_file(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    folder.mkdir()
+    held = {
+        "problem": "small",
+        "problem_file": small_problem().file.as_posix(),
+        "settings": {"overrides": ["layers.count=1"]},
+    }
+    (folder / "plan.json").write_text(json.dumps(held), encoding="utf-8")
+    problem, plan = planned_problem(str(folder))
+    assert (problem.name, problem.overrides, plan) == ("small", ("layers.count=1",), None)
+    held["problem_file"] = "gone.yaml"
+    (folder / "plan.json").write_text(json.dumps(held), encoding="utf-8")
+    with pytest.raises(InputError, match=r"its problem file gone\.yaml is not there"):
+        planned_problem(str(folder))
+    (folder / "plan.json").write_text(json.dumps(held | {"problem_file": None}), encoding="utf-8")
+    with pytest.raises(InputError, match="waypoints of arrays"):
+        planned_problem(str(folder))
