@@ -28,7 +28,7 @@ from planner.export.player.play import play
 from planner.feedback.identify_log import read_log
 from planner.feedback.learn_command import in_words, language_of, learned_plan
 from planner.feedback.learn_fit import Lessons, RunErrors, errors_of, next_lessons
-from planner.feedback.learn_track import RecordedWay, planned_way, recorded_way, track
+from planner.feedback.learn_track import RecordedWay, recorded_way, way_along
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -72,7 +72,7 @@ ROBOTS: Mapping[str, SimulatedRobot] = {
 
 
 def recorded(plan: Plan, robot: SimulatedRobot) -> tuple[Array, Array]:
-    """Time (k) [s] and executed joints (k, n) [rad, m] of a run of a plan's program."""
+    """Time (k) [s] and executed joints (k, n) [rad, m], as the controller counts them, of a run of a plan's program."""
     name = language_of(plan)
     language = LANGUAGES[name]
     program = language.program(plan, language.write(plan))
@@ -108,10 +108,7 @@ def write_log(plan: Plan, time: Array, q: Array, noise: float, seed: int, path: 
 
 def true_way(plan: Plan, time: Array, q: Array) -> RecordedWay:
     """What a perfect recording would show."""
-    T = plan.cell.T_part_nozzle(np.ascontiguousarray(q))
-    tip, axis = np.ascontiguousarray(T[:, :3, 3]), np.ascontiguousarray(T[:, :3, 2])
-    place, off = track(planned_way(plan.trajectory.tip, plan.trajectory.axis), planned_way(tip, axis), 0)
-    return RecordedWay(time, tip, np.zeros(len(time)), place, off, np.zeros((0, 2), dtype=np.int64), ())
+    return way_along(plan, LANGUAGES[language_of(plan)].plan(plan).cell, time, q)
 
 
 @dataclass(frozen=True)
@@ -138,7 +135,7 @@ class SimulatedRun:
             float(size.max()),
             within,
             float(fast.mean()),
-            self.time,
+            float(self.way.time[-1]),
             self.most,
         )
 

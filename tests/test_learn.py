@@ -22,6 +22,8 @@ from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
+from planner.export.controllers import CONTROLLERS
+from planner.export.forecast import forecast
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import followed
 from planner.feedback.identify_log import read_log
@@ -33,10 +35,11 @@ from planner.feedback.learn_fit import (
     bends,
     errors_of,
     evened,
+    evened_around,
     less_around,
     next_lessons,
 )
-from planner.feedback.learn_telling import next_name, write_lessons, write_problem
+from planner.feedback.learn_telling import next_name, read_lessons, write_lessons, write_problem
 from planner.feedback.learn_track import PlannedWay, planned_way, recorded_way, track
 from planner.feedback.planned import planned_problem
 from planner.motion.as_run import FADE, Corrections, asked_trajectory, displacements, read_corrections
@@ -304,6 +307,9 @@ def test_what_bends_most_is_evened_and_what_is_not_safe_is_made_smaller() -> Non
     even = evened(corrections, 0.7e-3)
     assert even.shift[[4, 7]].max(axis=1) == pytest.approx([0.5e-3, 0.5e-3])
     assert even.shift[3] == pytest.approx(0.0)
+    near = evened_around(corrections, 0, 4e-3, 1.5e-3)
+    assert near.shift[3:6, 0] == pytest.approx([0.25e-3, 0.5e-3, 0.0])  # the bead's end stays
+    assert near.shift[7] == pytest.approx(shift[7])
     less = less_around(corrections, 0, 4e-3, 2e-3)
     assert less.shift[[4, 7]].max(axis=1) == pytest.approx([0.5e-3, 1e-3])
 
@@ -382,7 +388,7 @@ def learned_problem(folder: Path, rows: str, most: float) -> Problem:
     """The small problem with corrections of some rows."""
     (folder / "corrections.csv").write_text(rows, encoding="utf-8")
     target = folder / "small_run_2.yaml"
-    target.write_text(write_problem(small_problem(), most, folder), encoding="utf-8")
+    target.write_text(write_problem(small_problem(), "small_run_2", most, folder), encoding="utf-8")
     return load_problem(target)
 
 
@@ -567,6 +573,40 @@ def test_the_command_writes_a_program_that_is_nearer_and_goes_on_from_its_own_fo
     assert (third / "small_run_3.yaml").is_file()
     rows = list(csv.DictReader((third / "corrections.csv").read_text(encoding="utf-8").splitlines()))
     assert {float(row["gain"]) for row in rows} <= {0.5, 1.0}
+
+
+def test_the_model_of_a_controller_teaches_the_program_of_the_first_run(
+    plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved, out = plan.save(tmp_path / "small.plan"), tmp_path / "first"
+    assert main([str(saved), "--forecast", "--out", str(out), "--quiet"]) == EXIT_VERIFIED
+    told = capsys.readouterr().out
+    assert "by the model of ABB IRC5 / OmniCore, without a recording" in told
+    first, *_, last = (float(line.split("plan by ")[1].split()[0]) for line in told.splitlines() if "plan by" in line)
+    assert last < 0.3 * first
+    own = json.loads((out / "forecast.json").read_text(encoding="utf-8"))["forecasts"]["rapid"]
+    usual = recorded_forecast(plan)
+    assert own["closer_than_warned"] <= usual["closer_than_warned"]
+    assert (out / "small_run_1.yaml").is_file()
+    # of real runs none has taught anything yet
+    problem = load_problem(out / "small_run_1.yaml")
+    corrections = read_corrections(out / "corrections.csv", plan.toolpath, WRONG)
+    assert (read_lessons(problem, corrections).gain == 0.0).all()
+    assert next_name(problem) == "small_run_2"
+
+
+def recorded_forecast(plan: Plan) -> dict[str, Any]:
+    rapid = LANGUAGES["rapid"]
+    program = rapid.program(plan, rapid.write(plan))
+    return dict(forecast(program, rapid.plan(plan).cell, CONTROLLERS["rapid"]).figures)
+
+
+def test_a_recording_or_the_forecast_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments in (["peer_cap"], ["peer_cap", "run.csv", "--forecast"]):
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == EXIT_INPUT
+    assert "--forecast" in capsys.readouterr().err
 
 
 def test_a_program_that_cannot_be_safe_is_not_written(plan: Plan, tmp_path: Path) -> None:

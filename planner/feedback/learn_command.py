@@ -21,15 +21,28 @@ from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.export.controllers import CONTROLLERS
+from planner.export.forecast import Forecast, forecast
 from planner.export.languages import LANGUAGES, chosen
+from planner.export.player.executed import executed_run
+from planner.export.player.play import play
 from planner.export.write import forecast_words, program_notes
 from planner.feedback.identify_log import read_log
-from planner.feedback.learn_fit import Lessons, RunErrors, bends, errors_of, evened, less_around, next_lessons
+from planner.feedback.learn_fit import (
+    Lessons,
+    RunErrors,
+    bends,
+    errors_of,
+    evened,
+    evened_around,
+    less_around,
+    next_lessons,
+)
 from planner.feedback.learn_telling import (
     CORRECTIONS,
     PICTURE,
     next_lines,
     next_name,
+    off_words,
     read_lessons,
     run_lines,
     run_of,
@@ -37,7 +50,7 @@ from planner.feedback.learn_telling import (
     write_picture,
     write_problem,
 )
-from planner.feedback.learn_track import recorded_way
+from planner.feedback.learn_track import recorded_way, way_along
 from planner.feedback.planned import planned_problem
 from planner.motion.as_run import Corrections, corrections_of
 from planner.plan import Check, Plan
@@ -54,6 +67,8 @@ RESULTS_BY = "learn"  # whose files they are, in manifests
 MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
 TRIES = 12  # smoother and smaller corrections, until they hold
 SMOOTHER = 0.6  # of what corrections may bend, from try to try
+FORETOLD = 3  # runs
+EVENED = 3e-3  # m of bead, on which corrections are evened where lines would be too quick
 AROUND = 10e-3  # m of bead, on which corrections are made smaller where they would not be safe
 
 
@@ -77,30 +92,77 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     with Stages(None if options.quiet else Console(stderr=True, highlight=False)) as stages:
         plan = ran_plan(options.plan, options.set, options.strategy, stages)
-        problem, language = plan.problem, language_of(plan)
-        way = recorded_way(plan, read_log(options.log, plan.cell, options.columns), language)
-        errors = errors_of(plan.trajectory, way)
-        print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
+        problem = plan.problem
         most = options.most or (MOST if problem.as_run is None else problem.as_run.most)
-        corrections = corrections_of(problem, plan.toolpath)
-        before = None if corrections is None else read_lessons(problem, corrections)
-        wanted = next_lessons(plan.trajectory, errors, before, most)
-        learned = learned_plan(plan, wanted, errors, most, language, stages)
-        print("\n".join(next_lines(learned.lessons.corrections, before, errors, learned.smoothed)), flush=True)
+        if options.forecast:
+            learned, errors = foretold(plan, most, stages)
+            name, run = next_name(problem, 1), 0
+        else:
+            learned, errors = _recorded(plan, options, most, stages)
+            name, run = next_name(problem), run_of(problem)
         if learned.failed:
             print(f"no program that is safe: {in_words(learned.failed)}", file=sys.stderr)
             return EXIT_NOT_VERIFIED
-        folder = options.out or Path("out") / next_name(problem)
-        target = folder / f"{next_name(problem)}.yaml"
+        folder = options.out or Path("out") / name
+        target = folder / f"{name}.yaml"
         with results_folder(folder, RESULTS_BY) as fresh:
             write_lessons(learned.lessons, plan.trajectory, errors, fresh / CORRECTIONS)
-            write_picture(plan, errors, learned.lessons.corrections, run_of(problem), fresh / PICTURE)
-            (fresh / target.name).write_text(write_problem(problem, most, folder), encoding="utf-8")
+            write_picture(plan, errors, learned.lessons.corrections, run, fresh / PICTURE)
+            (fresh / target.name).write_text(write_problem(problem, name, most, folder), encoding="utf-8")
         done = sealed(replace(learned.plan, problem=load_problem(target, problem.sources.overrides)))
         with results_folder(folder, PLANNED_BY) as fresh:
             done = write_files(done, fresh, stages)
     print_summary(done, folder, chosen(done).words, program_notes(done, folder), forecast_words(folder))
     return EXIT_VERIFIED if done.verified else EXIT_NOT_VERIFIED
+
+
+def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
+    """What a recording teaches, told."""
+    problem, language = plan.problem, language_of(plan)
+    way = recorded_way(plan, read_log(options.log, plan.cell, options.columns), language)
+    errors = errors_of(plan.trajectory, way)
+    print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
+    corrections = corrections_of(problem, plan.toolpath)
+    before = None if corrections is None else read_lessons(problem, corrections)
+    wanted = next_lessons(plan.trajectory, errors, before, most)
+    learned = learned_plan(plan, wanted, errors, most, language, stages)
+    print("\n".join(next_lines(learned.lessons.corrections, before, errors, learned.smoothed)), flush=True)
+    return learned, errors
+
+
+def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
+    """What runs would teach if the robot did as its controller's model foretells, told; and how far the first would be off.
+
+    Real runs begin anew with what comes of it: of these none has taught anything.
+    """
+    language = language_of(plan)
+    controller = CONTROLLERS[language]
+    assumed = ", an assumed one" if len(controller.motion.assumed) > 1 else ""
+    print(f"by the model of {controller.title}{assumed}, without a recording:")
+    learned, lessons, first = None, None, None
+    for run in range(FORETOLD + 1):
+        now = plan if learned is None else learned.plan
+        with stages.stage("forecast"):
+            program = LANGUAGES[language].program(now, LANGUAGES[language].write(now))
+            cell = LANGUAGES[language].plan(now).cell
+            done = executed_run(program, play(program, cell, controller.motion), controller.motion)
+            way = way_along(plan, cell, done.t, done.q)
+        errors = errors_of(plan.trajectory, way)
+        first = first or errors
+        what = f"after {run} runs that teach" if run else "as it is planned"
+        print(f"{what}: {off_words(errors)}", flush=True)
+        if run == FORETOLD:
+            break
+        lessons = next_lessons(plan.trajectory, errors, lessons, most)
+        learned = learned_plan(plan, lessons, errors, most, language, stages)
+        if learned.failed:
+            break
+        lessons = learned.lessons
+    if learned is None or first is None:
+        raise RuntimeError("no run was foretold")
+    own = learned.lessons
+    untaught = Lessons(own.corrections, np.zeros_like(own.best), np.zeros_like(own.left), np.zeros_like(own.gain))
+    return replace(learned, lessons=untaught), first
 
 
 def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
@@ -131,37 +193,58 @@ def language_of(plan: Plan) -> str:
 def learned_plan(
     plan: Plan, lessons: Lessons, errors: RunErrors, most: float, language: str, stages: Stages
 ) -> Learned:
-    """The plan with a corrected program: with as much of the corrections as is safe, and as lines can follow."""
+    """The plan with a corrected program: with as much of the corrections as is safe, and as lines can follow that are no
+    quicker than those of the program without."""
     failed: tuple[Check, ...] = ()
     corrections = lessons.corrections
     smoothed, bend = 0, float(bends(corrections).max(initial=0.0))
+    usual = _forecast(replace(plan, asked=None), language).close
     with tempfile.TemporaryDirectory() as folder:
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
-        for _ in range(TRIES):
+        for last in (*(False,) * (TRIES - 1), True):
             write_lessons(replace(lessons, corrections=corrections), plan.trajectory, errors, spec.corrections)
             asked = with_asked(plan, stages)
             failed = tuple(check for check in asked.checks if not check.ok)
             if failed:
                 for check in failed:
-                    corrections = _smaller(plan, corrections, check.sample)
+                    corrections = less_around(corrections, *_place(plan, check.sample), AROUND)
                 continue
             with stages.stage("export"):
                 differences = LANGUAGES[language].differences(asked, LANGUAGES[language].write(asked))
-            if not differences:
+            if differences:
+                failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
+                bend, smoothed = SMOOTHER * bend, smoothed + 1
+                corrections = evened(corrections, bend)
+                continue
+            with stages.stage("forecast"):
+                found = _forecast(asked, language)
+            if found.close <= usual or last:
                 return Learned(asked, replace(lessons, corrections=corrections), smoothed, ())
-            failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
-            bend, smoothed = SMOOTHER * bend, smoothed + 1
-            corrections = evened(corrections, bend)
+            corrections, smoothed = _evened_at_move(asked, language, found.nearest, corrections), smoothed + 1
     return Learned(plan, replace(lessons, corrections=corrections), smoothed, failed)
 
 
-def _smaller(plan: Plan, corrections: Corrections, sample: int) -> Corrections:
-    """Corrections, smaller around a sample of the plan, or around the place of a bead that is nearest to it in time."""
+def _forecast(plan: Plan, language: str) -> Forecast:
+    """What a plan's controller is foretold to make of its program."""
+    program = LANGUAGES[language].program(plan, LANGUAGES[language].write(plan))
+    return forecast(program, LANGUAGES[language].plan(plan).cell, CONTROLLERS[language])
+
+
+def _evened_at_move(plan: Plan, language: str, move: int, corrections: Corrections) -> Corrections:
+    """Corrections, evened around the end of a move of a plan's program."""
+    program = LANGUAGES[language].program(plan, LANGUAGES[language].write(plan))
+    asked = plan.trajectory if plan.asked is None else plan.asked
+    sample = int(np.argmin(np.linalg.norm(asked.tip - program.position[move], axis=1)))
+    return evened_around(corrections, *_place(plan, sample), EVENED)
+
+
+def _place(plan: Plan, sample: int) -> tuple[int, float]:
+    """Bead and arc length [m] of a sample of the plan; in travel of the nearest in time that lays material."""
     t = plan.trajectory
     laid = np.flatnonzero(t.deposit)
     k = laid[int(np.argmin(np.abs(laid - sample)))]
-    return less_around(corrections, int(t.bead[k]), float(t.s[k]), AROUND)
+    return int(t.bead[k]), float(t.s[k])
 
 
 def in_words(checks: Sequence[Check]) -> str:
@@ -180,6 +263,7 @@ def learn_command() -> Command:
             "cylinder_logo run.csv": "the program of the second run in out/cylinder_logo_run_2",
             "out/cylinder_logo_run_2 run2.csv": "that of the third",
             "my_part.yaml run.csv --most-mm 0.5": "no place asked for that is farther from the plan",
+            "my_part.yaml --forecast": "a program for the first run, from what the controller's model foretells",
         },
         {
             0: "verified plan and corrected program written",
@@ -193,7 +277,13 @@ def learn_command() -> Command:
         metavar="PLAN",
         help="what was run: a plan that was saved, a folder of results, a problem file or a shipped one's name",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, see the page")
+    given = parser.add_mutually_exclusive_group(required=True)
+    given.add_argument(
+        "log", type=Path, nargs="?", metavar="LOG", help="the recording: CSV with time and joints, see the page"
+    )
+    given.add_argument(
+        "--forecast", action="store_true", help="without a recording, from what the controller's model foretells"
+    )
     parser.add_argument(
         "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
     )

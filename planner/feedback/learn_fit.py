@@ -186,8 +186,17 @@ def bends(corrections: Corrections) -> Array:
 
 def evened(corrections: Corrections, bend: float) -> Corrections:
     """The same; where one is off the mean of its neighbours by more than `bend` [m], half way towards that."""
+    return _evened_at(corrections, np.flatnonzero(bends(corrections) > bend))
+
+
+def evened_around(corrections: Corrections, bead: int, s: float, reach: float) -> Corrections:
+    """The same; within a reach [m] of a place on a bead, half way towards the mean of their neighbours."""
+    near = (corrections.bead == bead) & (np.abs(corrections.s - s) <= reach)
+    return _evened_at(corrections, np.flatnonzero(near & (bends(corrections) > 0.0)))
+
+
+def _evened_at(corrections: Corrections, k: Indices) -> Corrections:
     shift = corrections.shift.copy()
-    k = np.flatnonzero(bends(corrections) > bend)
     shift[k] = 0.5 * corrections.shift[k] + 0.25 * (corrections.shift[k - 1] + corrections.shift[k + 1])
     return Corrections(corrections.bead, corrections.s, shift)
 

@@ -79,17 +79,16 @@ def off_at(corrections: Corrections, t: Trajectory, errors: RunErrors) -> Array:
     return np.asarray(np.where(errors.known[sample], off, np.nan))
 
 
-def next_name(problem: Problem) -> str:
-    """What the problem of the next run is called."""
-    run = run_of(problem)
-    stem = problem.name.rpartition(_RUN)[0] if run > 1 else problem.name
-    suffix = f"{_RUN}{run + 1}"
+def next_name(problem: Problem, number: int | None = None) -> str:
+    """What the problem of a run is called, of the next one without a number."""
+    stem = problem.name.rpartition(_RUN)[0] if problem.as_run is not None and _RUN in problem.name else problem.name
+    suffix = f"{_RUN}{run_of(problem) + 1 if number is None else number}"
     return stem[: LONGEST_NAME - len(suffix)] + suffix
 
 
-def write_problem(problem: Problem, most: float, folder: Path) -> str:
-    """The text of the problem of the next run, for the folder that its corrections are in."""
-    values: dict[str, Value] = {"name": next_name(problem)}
+def write_problem(problem: Problem, name: str, most: float, folder: Path) -> str:
+    """The text of the problem of a run, of a name, for the folder that its corrections are in."""
+    values: dict[str, Value] = {"name": name}
     if problem.as_run is not None:
         values |= {"as_run.corrections": CORRECTIONS, "as_run.most_mm": most * 1e3}
         return changed_text(problem, values, folder)
@@ -104,17 +103,25 @@ def run_of(problem: Problem) -> int:
     return int(number) if problem.as_run is not None and number.isdecimal() else 1
 
 
+def off_words(errors: RunErrors) -> str:
+    """How far a run was off its plan."""
+    size = errors.size * 1e3
+    rms, nearly = np.sqrt((size**2).mean()), np.quantile(size, 0.99)
+    return (
+        f"the tip is off the plan by {rms:.3f} mm (rms), {nearly:.3f} (99 %), {size.max():.3f} at most, and within {NEAR:g} mm "
+        f"for {(size <= NEAR).mean():.1%} of the time"
+    )
+
+
 def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list[str]:
     """By how much a run left its plan, and where most."""
     t, size = plan.trajectory, errors.size * 1e3
     rows = np.flatnonzero(errors.known)
     seen = len(rows) / int(np.count_nonzero(t.deposit))
-    rms, nearly, most = np.sqrt((size**2).mean()), np.quantile(size, 0.99), size.max()
     out = [
         *way.remarks,
-        f"run {run}: {seen:.1%} of the samples on beads recorded; the tip is off the plan by {rms:.3f} mm (rms), "
-        f"{nearly:.3f} (99 %), {most:.3f} at most, and within {NEAR:g} mm for {(size <= NEAR).mean():.1%} of the time; one "
-        f"recorded tip is {errors.noise * 1e3:.3f} mm noisy",
+        f"run {run}: {seen:.1%} of the samples on beads recorded; {off_words(errors)}",
+        f"one recorded tip is {errors.noise * 1e3:.3f} mm noisy",
     ]
     asked = plan.commanded[t.bead[rows]]
     speed = errors.speed[rows]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -57,22 +57,28 @@ def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
         hint = f"at least one every {1e3 * COARSE:g} ms"
         raise InputError(f"too few samples: one every {1e3 * log.step:.3g} ms", file=log.file, hint=hint)
     q, begin, remarks = _read_as(plan, log, language)
-    cell, t = plan.cell, plan.trajectory
+    steps = np.diff(log.time)
+    missing = np.flatnonzero(steps > max(GAP * log.step, LEAST_GAP))
+    if len(missing):
+        lost = steps[missing].sum()
+        remarks = (*remarks, f"{len(missing)} gaps in the recording, {lost:.2f} s in all: nothing is learned there")
+    way = way_along(plan, plan.cell, log.time, q, begin)
+    _check_followed(plan, log, way.place, way.off)
+    return replace(way, gaps=np.column_stack([missing, missing + 1]), remarks=remarks)
+
+
+def way_along(plan: Plan, cell: Cell, time: Array, q: Array, begin: int = 0) -> RecordedWay:
+    """Where along a plan a robot was at times (m) [s], by its joints q (m, n) [rad, m].
+
+    cell: the plan's, or the same as its controller counts joints; begin: the sample at which the robot sets out
+    """
+    t = plan.trajectory
     T = cell.T_part_nozzle(np.ascontiguousarray(q))
     tip, axis = np.ascontiguousarray(T[:, :3, 3]), np.ascontiguousarray(T[:, :3, 2])
     place, off = track(planned_way(t.tip, t.axis), planned_way(tip, axis), begin)
-    _check_followed(plan, log, place, off)
     nearest = np.minimum(np.rint(place).astype(np.int64), len(t) - 1)
     turned = np.arccos(np.clip((axis * t.axis[nearest]).sum(axis=1), -1.0, 1.0))
-    steps = np.diff(log.time)
-    missing = np.flatnonzero(steps > max(GAP * log.step, LEAST_GAP))
-    gaps = np.column_stack([missing, missing + 1])
-    if len(gaps):
-        remarks = (
-            *remarks,
-            f"{len(gaps)} gaps in the recording, {steps[missing].sum():.2f} s in all: nothing is learned there",
-        )
-    return RecordedWay(log.time, tip, turned, place, off, gaps, remarks)
+    return RecordedWay(time, tip, turned, place, off, np.zeros((0, 2), dtype=np.int64), ())
 
 
 def _read_as(plan: Plan, log: RobotLog, language: str) -> tuple[Array, int, tuple[str, ...]]:

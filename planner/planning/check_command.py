@@ -73,6 +73,7 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
         toolpath = _tried(mistakes, lambda: _toolpath(one_layer(problem) if first else problem))
         if toolpath is not None and not first:
             work = _work(toolpath)
+            _tried(mistakes, lambda: _check_corrections(problem, toolpath))
         if cell is not None and toolpath is not None:
             _tried(mistakes, lambda: _check_cones(problem, cell, toolpath))
     elif not is_quick(problem):
@@ -107,7 +108,7 @@ def one_layer(problem: Problem) -> Problem:
     """The problem with its first layer alone, and nothing that is of others."""
     process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": (), "order": ()})
     layers = problem.layers.model_copy(update={"count": 1})
-    return problem.model_copy(update={"layers": layers, "process": process})
+    return problem.model_copy(update={"layers": layers, "process": process, "as_run": None})
 
 
 def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:
@@ -148,6 +149,13 @@ def _toolpath(problem: Problem) -> Toolpath:
     if problem.process.fibre is not None:  # which asks for beads of some length
         tasks_of(problem, toolpath)
     return toolpath
+
+
+def _check_corrections(problem: Problem, toolpath: Toolpath) -> None:
+    if problem.as_run is not None and not problem.process.split_beads:  # whose pieces are known once they are planned
+        from planner.motion.as_run import corrections_of
+
+        corrections_of(problem, toolpath)
 
 
 def _foreseen(problem: Problem) -> Workload | None:
