@@ -11,15 +11,18 @@ the executed tip from the plan, across it and on beads, without the noise.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from planner.base.command_line import exit_code
 from planner.base.progress import Stages
 from planner.export.controllers import CONTROLLERS
 from planner.export.languages import LANGUAGES
@@ -219,6 +222,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--robot", choices=tuple(ROBOTS), help="one of them only")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="a corner, and how far runs are off (PNG)")
     options = parser.parse_args(arguments)
+    return exit_code(partial(_run, options), partial(print, file=sys.stderr))
+
+
+def _run(options: argparse.Namespace) -> int:
     for name in options.names:
         plan = solve(load_problem(name, options.set or PRINTS.get(name, ())), baseline=False)
         for title, robot in ROBOTS.items():

@@ -264,7 +264,7 @@ def test_smoothing_is_the_least_of_its_sum_of_squares(seed: int, n: int, step: i
     """The banded solution against a dense one."""
     random = np.random.default_rng(seed)
     off, known = random.normal(0.0, 1e-4, (n, 3)), random.random(n) < 0.8
-    knots = np.unique(np.append(np.arange(0, n, step), n - 1))
+    knots = np.unique(np.append(np.arange(0, n - n // 3, step), n - 1 - n // 4))  # a rest at the end has no place
     k = len(knots)
     B = np.column_stack([np.interp(np.arange(n), knots, row) for row in np.eye(k)])
     D = np.diff(np.eye(k), n=2, axis=0)
@@ -272,6 +272,19 @@ def test_smoothing_is_the_least_of_its_sum_of_squares(seed: int, n: int, step: i
     matrix = B[known].T @ B[known] + stiff * D.T @ D + (1e-9 + 1e-3 * stiff) * np.eye(k)
     dense = np.linalg.solve(matrix, B[known].T @ off[known])
     assert _smoothed(off, known, knots, noise) == pytest.approx(dense, abs=1e-9)
+
+
+def test_a_rest_on_a_bead_has_one_correction(plan: Plan, tmp_path: Path) -> None:
+    t = plan.trajectory
+    k = int(np.flatnonzero(t.deposit)[150])
+    rows = np.insert(np.arange(len(t)), k, np.full(80, k))
+    names = ("bead", "layer", "deposit", "s", "q", "tip", "quat", "axis", "branch", "speed", "flow", "extruded", "feed")
+    rested = replace(t, t=t.dt * np.arange(len(rows)), **{name: getattr(t, name)[rows] for name in names})
+    off = np.tile([0.0, 1e-4, 0.0], (len(rested), 1))
+    lessons = next_lessons(rested, toy_errors(rested, off), None, MOST)
+    with_corrections(replace(plan, trajectory=rested), lessons.corrections, tmp_path)
+    found = read_corrections(tmp_path / "corrections.csv", plan.toolpath, WRONG)
+    assert found.shift == pytest.approx(np.tile([0.0, -1e-4, 0.0], (len(found.s), 1)), abs=1e-8)
 
 
 def toy_errors(t: Trajectory, executed: Array) -> RunErrors:

@@ -23,6 +23,7 @@ KNOT = 16e-3  # s of planned motion between places of corrections: lines shorter
 BEND = 0.1e-3  # m by which corrections may bend from place to place: what is smoother than noise of that is believed
 QUIET = 2e-6  # m: recordings are no better than that
 TO_SIGMA = 1.4826  # from the median of deviations to the standard one, of a normal distribution
+APART = 1e-6  # m: places of corrections are not nearer to each other
 AROUND = 4  # places to either side, 64 ms: over these it is judged whether a run was better
 MORE, LESS = 1.5, 0.5  # times the gain, where a run was better, and where it was not
 LEAST = 0.01  # gain
@@ -114,6 +115,7 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
     for first, last in edges.tolist():
         own = np.arange(first, last)
         knots = np.unique(np.append(np.arange(0, len(own), step), len(own) - 1))
+        knots = knots[np.append(True, np.diff(t.s[own[knots]]) > APART)]  # it may rest on a bead
         bead, s, known = int(t.bead[first]), t.s[own[knots]], errors.known[own]
         ran, best, left, gain = _before(before, bead, s)
         if known.mean() >= 1.0 - UNKNOWN_MOST:
@@ -159,7 +161,7 @@ def _smoothed(off: Array, known: Flags, knots: Indices, noise: float) -> Array:
     if k == 1:
         return off[:1]
     at = np.clip(np.searchsorted(knots, np.arange(n), side="right") - 1, 0, k - 2)
-    u = (np.arange(n) - knots[at]) / (knots[at + 1] - knots[at])
+    u = np.clip((np.arange(n) - knots[at]) / (knots[at + 1] - knots[at]), 0.0, 1.0)
     w = known.astype(np.float64)
     upper = np.zeros((3, k))  # diagonals of the symmetric matrix, the main one last
     upper[2] = np.bincount(at, w * (1.0 - u) ** 2, k) + np.bincount(at + 1, w * u**2, k)
