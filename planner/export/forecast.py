@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from planner.base.arrays import Array, Indices
+from planner.base.arrays import Array, Flags, Indices
 from planner.base.nearest import distance_to_polyline
 from planner.export.controllers import ControllerLimits
 from planner.export.player.executed import executed_run
@@ -141,6 +141,14 @@ def _off_plan(
     return worst
 
 
+def close_moves(played: Played, controller: ControllerLimits) -> Flags:
+    """Moves (m) on beads that take less time than is warned of."""
+    m = len(played.target)
+    took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
+    length = np.bincount(played.move, np.linalg.norm(np.diff(played.position, axis=0), axis=1), minlength=m)
+    return np.asarray(laid_moves(played) & (length > 0.0) & (took < controller.warned_time))
+
+
 def judged(program: RobotProgram, played: Played, controller: ControllerLimits) -> Forecast:
     """The forecast of a program that was played with the controller's motion."""
     laid = laid_moves(played)
@@ -152,7 +160,6 @@ def judged(program: RobotProgram, played: Played, controller: ControllerLimits) 
         return _without_beads(played, controller, m)
     meant = length / program.speed[:, 0]
     nominal = np.where(laid, np.maximum(took, 1e-9), np.inf)
-    close = laid & (took < controller.warned_time)
     least = _least(played)
     slowest = int(np.argmin(np.where(laid, least, np.inf)))
     nearest = int(np.argmin(nominal))
@@ -176,7 +183,7 @@ def judged(program: RobotProgram, played: Played, controller: ControllerLimits) 
         most=most,
         closest=float(nominal[nearest]),
         nearest=nearest,
-        close=int(close.sum()),
+        close=int(close_moves(played, controller).sum()),
         warnings=(),
     )
     return _warned(figures, controller)

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from scipy.spatial import cKDTree
 
 from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.export.controllers import CONTROLLERS
-from planner.export.forecast import Forecast, forecast
+from planner.export.forecast import close_moves
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import executed_run
 from planner.export.player.play import play
@@ -52,7 +53,7 @@ from planner.feedback.learn_telling import (
 )
 from planner.feedback.learn_track import recorded_way, way_along
 from planner.feedback.planned import planned_problem
-from planner.motion.as_run import Corrections, corrections_of
+from planner.motion.as_run import asked_of, corrections_of
 from planner.plan import Check, Plan
 from planner.plan.seal import sealed
 from planner.planning.options import add_set, add_strategy
@@ -198,45 +199,46 @@ def learned_plan(
     failed: tuple[Check, ...] = ()
     corrections = lessons.corrections
     smoothed, bend = 0, float(bends(corrections).max(initial=0.0))
-    usual = _forecast(replace(plan, asked=None), language).close
+    usual = len(_hasty(replace(plan, asked=None), language)[1])
     with tempfile.TemporaryDirectory() as folder:
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
         for last in (*(False,) * (TRIES - 1), True):
             write_lessons(replace(lessons, corrections=corrections), plan.trajectory, errors, spec.corrections)
-            asked = with_asked(plan, stages)
-            failed = tuple(check for check in asked.checks if not check.ok)
-            if failed:
-                for check in failed:
-                    corrections = less_around(corrections, *_place(plan, check.sample), AROUND)
-                continue
             with stages.stage("export"):
-                differences = LANGUAGES[language].differences(asked, LANGUAGES[language].write(asked))
+                asked = replace(plan, asked=asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory))
+                differences, hasty = _hasty(asked, language)
             if differences:
                 failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
                 bend, smoothed = SMOOTHER * bend, smoothed + 1
                 corrections = evened(corrections, bend)
                 continue
-            with stages.stage("forecast"):
-                found = _forecast(asked, language)
-            if found.close <= usual or last:
+            if len(hasty) > usual and not last:
+                for sample in hasty:
+                    corrections = evened_around(corrections, *_place(plan, sample), EVENED)
+                smoothed += 1
+                continue
+            asked = with_asked(plan, stages)
+            failed = tuple(check for check in asked.checks if not check.ok)
+            if not failed:
                 return Learned(asked, replace(lessons, corrections=corrections), smoothed, ())
-            corrections, smoothed = _evened_at_move(asked, language, found.nearest, corrections), smoothed + 1
+            for check in failed:
+                corrections = less_around(corrections, *_place(plan, check.sample), AROUND)
     return Learned(plan, replace(lessons, corrections=corrections), smoothed, failed)
 
 
-def _forecast(plan: Plan, language: str) -> Forecast:
-    """What a plan's controller is foretold to make of its program."""
-    program = LANGUAGES[language].program(plan, LANGUAGES[language].write(plan))
-    return forecast(program, LANGUAGES[language].plan(plan).cell, CONTROLLERS[language])
-
-
-def _evened_at_move(plan: Plan, language: str, move: int, corrections: Corrections) -> Corrections:
-    """Corrections, evened around the end of a move of a plan's program."""
-    program = LANGUAGES[language].program(plan, LANGUAGES[language].write(plan))
-    asked = plan.trajectory if plan.asked is None else plan.asked
-    sample = int(np.argmin(np.linalg.norm(asked.tip - program.position[move], axis=1)))
-    return evened_around(corrections, *_place(plan, sample), EVENED)
+def _hasty(plan: Plan, language: str) -> tuple[list[str], list[int]]:
+    """How a plan's program differs from it, if it does; and samples at the ends of moves on beads that take less time than
+    the controller is known to need."""
+    own = LANGUAGES[language].write(plan)
+    differences = LANGUAGES[language].differences(plan, own)
+    if differences:
+        return differences, []
+    program, cell = LANGUAGES[language].program(plan, own), LANGUAGES[language].plan(plan).cell
+    controller = CONTROLLERS[language]
+    close = close_moves(play(program, cell, controller.motion), controller)
+    tip = (plan.asked or plan.trajectory).tip
+    return [], np.unique(cKDTree(tip).query(program.position[close])[1]).tolist()
 
 
 def _place(plan: Plan, sample: int) -> tuple[int, float]:
