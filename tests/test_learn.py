@@ -126,7 +126,8 @@ def test_places_along_an_open_curve_are_the_nearest_ones(seed: int, every: float
     run = np.column_stack([np.interp(at, np.arange(101), column) for column in tip.T])
     run += random.normal(0.0, 2e-5, run.shape)
     way = planned_way(tip, axis)
-    place, off = track(way, planned_way(run, np.tile(axis[0], (len(run), 1))), 0)
+    ran = planned_way(run, np.tile(axis[0], (len(run), 1)))
+    place, off = track(way, ran.points, np.diff(ran.way, prepend=0.0))
     there = [brute_place(way, np.append(point, 0.05 * axis[0])) for point in run]
     assert place == pytest.approx(np.array(there), abs=0.35)
     assert off.max() < 2e-4
@@ -138,7 +139,8 @@ def test_a_run_keeps_its_order_on_lines_that_lie_beside_each_other() -> None:
     tip = np.column_stack([np.vstack(lines), np.zeros(366)])
     axis = np.tile([0.0, 0.0, -1.0], (366, 1))
     run = tip + [0.0, 0.6e-3, 0.0]
-    place, _ = track(planned_way(tip, axis), planned_way(run, axis), 0)
+    ran = planned_way(run, axis)
+    place, _ = track(planned_way(tip, axis), ran.points, np.diff(ran.way, prepend=0.0))
     middle = np.abs(np.arange(366) % 61 - 30) < 20
     assert np.abs(place - np.arange(366))[middle].max() < 3.0
 
@@ -222,6 +224,15 @@ def another_program(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
     return time, q
 
 
+def thinned(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
+    """Dense where the robot rests and travels, and only the ends of each bead."""
+    way = true_way(plan, time, q)
+    at = np.minimum(np.rint(way.place).astype(int), len(plan.trajectory) - 1)
+    laid = plan.trajectory.deposit[at]
+    kept = ~laid
+    return time[kept], q[kept]
+
+
 BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] = {
     "another program": (another_program, "off the plan at bead"),
     "another start": (lambda plan, time, q: (time, q + 0.2), "never is where the program begins"),
@@ -230,6 +241,7 @@ BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] 
         "never is where the program begins",
     ),
     "too few samples": (lambda plan, time, q: (time[::20], q[::20]), "too few samples: one every 80 ms"),
+    "nothing but gaps": (lambda plan, time, q: thinned(plan, time, q), "gaps leave nothing of any bead"),
     "an end before the first bead's": (lambda plan, time, q: (time[:120], q[:120]), "ends before the first bead does"),
     "a clock that runs back": (
         lambda plan, time, q: (np.where(time > 1.0, time - 0.5, time), q),

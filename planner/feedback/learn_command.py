@@ -122,6 +122,8 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
     problem, language = plan.problem, language_of(plan)
     way = recorded_way(plan, read_log(options.log, plan.cell, options.columns), language)
     errors = errors_of(plan.trajectory, way)
+    if not errors.known.any():
+        raise InputError("gaps leave nothing of any bead", file=options.log, hint="record all joints all the time")
     print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
     corrections = corrections_of(problem, plan.toolpath)
     before = None if corrections is None else read_lessons(problem, corrections)

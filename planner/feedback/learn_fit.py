@@ -2,7 +2,7 @@
 
 Iterative learning: where the executed path is e beside the plan, the next program asks for e less. A controller that cuts
 corners and follows late passes on some of what it is asked, none of it reversed, so that what is left shrinks from run to
-run (Norrloef and Gunnarsson, "On the design of ILC algorithms using optimization", Automatica 2001; for robot programs He et
+run (Gunnarsson and Norrlöf, "On the design of ILC algorithms using optimization", Automatica 2001; for robot programs He et
 al., arXiv 2301.02348). Across the path only: along it a place off is a time off, which is the speed's to mend.
 """
 

@@ -23,6 +23,7 @@ AT_START = np.radians(0.5)  # of each joint, or 1 mm where it slides: the robot 
 AT_START_SLIDING = 1e-3  # m
 LOST = 5e-3  # m off the plan on a bead: it is another program's, or no program's
 GAP = 4.0  # times the usual step, from which samples are missing
+SEEN = 10  # samples before a gap, by which it is told how fast the robot was
 LEAST_GAP = 0.02  # s: what is missing for less is known from both sides
 COARSE = 0.02  # s between samples at most: with fewer, corners are not seen
 DEGREE = np.pi / 180.0
@@ -57,14 +58,12 @@ def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
         hint = f"at least one every {1e3 * COARSE:g} ms"
         raise InputError(f"too few samples: one every {1e3 * log.step:.3g} ms", file=log.file, hint=hint)
     q, begin, remarks = _read_as(plan, log, language)
-    steps = np.diff(log.time)
-    missing = np.flatnonzero(steps > max(GAP * log.step, LEAST_GAP))
-    if len(missing):
-        lost = steps[missing].sum()
-        remarks = (*remarks, f"{len(missing)} gaps in the recording, {lost:.2f} s in all: nothing is learned there")
     way = way_along(plan, plan.cell, log.time, q, begin)
     _check_followed(plan, log, way.place, way.off)
-    return replace(way, gaps=np.column_stack([missing, missing + 1]), remarks=remarks)
+    if len(way.gaps):
+        lost = float(np.diff(log.time[way.gaps], axis=1).sum())
+        remarks = (*remarks, f"{len(way.gaps)} gaps in the recording, {lost:.2f} s in all: nothing is learned there")
+    return replace(way, remarks=remarks)
 
 
 def way_along(plan: Plan, cell: Cell, time: Array, q: Array, begin: int = 0) -> RecordedWay:
@@ -75,10 +74,18 @@ def way_along(plan: Plan, cell: Cell, time: Array, q: Array, begin: int = 0) -> 
     t = plan.trajectory
     T = cell.T_part_nozzle(np.ascontiguousarray(q))
     tip, axis = np.ascontiguousarray(T[:, :3, 3]), np.ascontiguousarray(T[:, :3, 2])
-    place, off = track(planned_way(t.tip, t.axis), planned_way(tip, axis), begin)
+    run, steps = planned_way(tip, axis), np.diff(time)
+    missing = np.flatnonzero(steps > max(GAP * float(np.median(steps)), LEAST_GAP))
+    gone = np.diff(run.way, prepend=0.0)
+    before = np.maximum(missing - SEEN, 0)
+    took = np.maximum(time[missing] - time[before], 1e-9)
+    # across a gap the robot may have gone round in a circle: it is taken to have gone on at its speed
+    gone[missing + 1] = np.maximum(gone[missing + 1], (run.way[missing] - run.way[before]) / took * steps[missing])
+    gone[:begin] = -np.inf
+    place, off = track(planned_way(t.tip, t.axis), run.points, gone)
     nearest = np.minimum(np.rint(place).astype(np.int64), len(t) - 1)
     turned = np.arccos(np.clip((axis * t.axis[nearest]).sum(axis=1), -1.0, 1.0))
-    return RecordedWay(time, tip, turned, place, off, np.zeros((0, 2), dtype=np.int64), ())
+    return RecordedWay(time, tip, turned, place, off, np.column_stack([missing, missing + 1]), ())
 
 
 def _read_as(plan: Plan, log: RobotLog, language: str) -> tuple[Array, int, tuple[str, ...]]:
@@ -167,52 +174,47 @@ def planned_way(tip: Array, axis: Array) -> PlannedWay:
     return PlannedWay(points, np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]))
 
 
-def track(plan: PlannedWay, run: PlannedWay, begin: int) -> tuple[Array, Array]:
-    """Place (m) of each sample of a run along the plan, in samples, and its distance from there (m) [m].
+def track(plan: PlannedWay, points: Array, gone: Array) -> tuple[Array, Array]:
+    """Place (m) of each sample of a run along the plan, in samples, and its distance from there (m) [m]. Linear in both.
 
-    begin: the run's sample at which the robot leaves the plan's start; those before are there. Linear in both.
+    points (m, 6) as the plan's; gone (m): how far the robot went on since the sample before [m], -inf where it is at the
+    start of the plan
     """
-    return _track(plan, run, begin)
+    return _track(plan, points, gone)
 
 
 @njit(cache=True)
-def _track(plan: PlannedWay, run: PlannedWay, begin: int) -> tuple[Array, Array]:
+def _track(plan: PlannedWay, run: Array, gone: Array) -> tuple[Array, Array]:
     points, way = plan.points, plan.way
-    m, n, d = len(run.points), len(points), points.shape[1]
+    m, n, d = len(run), len(points), points.shape[1]
     place, off = np.zeros(m), np.zeros(m)
     at = 0.0  # the way behind the robot
     first = 0  # segment from which on places are sought
     for i in range(m):
-        gone = 0.0
-        if i > begin:
-            gone = run.way[i] - run.way[i - 1]
-        elif i < begin:
-            gone = -np.inf
+        rests = gone[i] < 0.0
         while first < n - 2 and way[first + 1] < at - BACK:
             first += 1
         best, found, where = np.inf, 0.0, at
         k = first
         while k < n - 1:
-            if k > first and (way[k] > at + AHEAD + 2.0 * gone or gone < 0.0):
+            if k > first and (rests or way[k] > at + AHEAD + 2.0 * gone[i]):
                 break
             dot, square = 0.0, 0.0
             for j in range(d):
                 step = points[k + 1, j] - points[k, j]
-                dot += step * (run.points[i, j] - points[k, j])
+                dot += step * (run[i, j] - points[k, j])
                 square += step * step
             u = 0.0
-            if square > 0.0:
+            if square > 0.0 and not rests:
                 u = min(max(dot / square, 0.0), 1.0)
-            if gone < 0.0:
-                u = 0.0
             distance = 0.0
             for j in range(d):
-                gap = points[k, j] + u * (points[k + 1, j] - points[k, j]) - run.points[i, j]
+                gap = points[k, j] + u * (points[k + 1, j] - points[k, j]) - run[i, j]
                 distance += gap * gap
             there = way[k] + u * (way[k + 1] - way[k])
             price = distance
-            if gone >= 0.0:
-                price += ASTRAY * (there - at - gone) ** 2
+            if not rests:
+                price += ASTRAY * (there - at - gone[i]) ** 2
             if price < best:
                 best, found, where = price, k + u, there
                 off[i] = np.sqrt(distance)
