@@ -154,11 +154,13 @@ def _flow(plan: Plan) -> dict[str, Any]:
 def _ages(plan: Plan) -> dict[str, Any]:
     t, ages, spec = plan.trajectory, plan.series[AGES], plan.problem.process.interlayer_time
     asked = () if spec is None else ((spec.least, "at least"), (spec.most, "at most"))
+    trace = _stretches(t.t, ages, np.isfinite(ages), t.bead, "interlayer time", BLUE, 1.6, "%{y:.1f} s")
+    trace |= {"x": np.insert(trace["x"], 0, t.t[0]), "y": np.insert(trace["y"], 0, np.nan)}  # from the print's beginning
     return _chart(
         "interlayer",
         "Age of what is below",
         "s",
-        [_stretches(t.t, ages, np.isfinite(ages), t.bead, "interlayer time", BLUE, 1.6, "%{y:.1f} s")],
+        [trace],
         note="How long ago what the nozzle lays on was laid. Gaps are travel, first layers and bridges.",
         lines=[(value, f"{words} {value:g} s") for value, words in asked if value is not None],
         from_zero=True,

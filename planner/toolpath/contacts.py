@@ -1,8 +1,9 @@
 """Which places of beads lie on which places of others, as the toolpath draws them: what ages between layers are foreseen from.
 
 A place looks down its normal by its bead's height. What is nearest there of the layers before it is what it lies on, and so is
-whatever is about as near, since the executed motion may be nearer to that; the verifier finds anew, from the motion, what
-each place lies on. Where one bead rises over itself, it lies on its own earlier turn. Struts lie on nothing.
+whatever is about as near, since the executed motion may be nearer to that; but not what is so near at this place alone, as
+the other end of a closed bead, or a bead that crosses. The verifier finds anew, from the motion, what each place lies on.
+Where one bead rises over itself, it lies on its own earlier turn. Struts lie on nothing.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ _BESIDE = 0.8  # bead's widths from the line of the bead below; the verifier loo
 _OFF = 0.8  # bead's heights by which the bead below may lie higher or lower than one height down; the same
 _OWN = 0.5  # likewise of the bead's own layer
 _AS_NEAR = 0.2  # bead's widths by which a place may be farther than the nearest one and count all the same
+_BOTH_SIDES = (-2, -1, 1, 2)  # places along a bead that are asked what they lie on
+_ALONG = 3.0  # steps by which that may be farther along than theirs
 _NEAREST = 8  # places looked at: three of each of two beads that are as near, and two more
 
 
@@ -31,7 +34,7 @@ class BeadContacts(ReadOnlyArrays):
 
     upper, lower (k)   indices of the beads
     at, below (k)      arc length of both places along their beads [m]
-    around, beneath (k)  half the way to the next place along each: what lies between is not looked at [m]
+    around, beneath (k)  the way to the next place along each: what lies between is not looked at [m]
     """
 
     upper: Ints
@@ -66,7 +69,7 @@ class BeadContacts(ReadOnlyArrays):
 
 @dataclass(frozen=True)
 class _BeadPlaces:
-    """Places (k) along beads: bead, layer, arc length `s` and half the way to the next place [m]; tip, and one bead's height
+    """Places (k) along beads: bead, layer, arc length `s` and the way to the next place [m]; tip, and one bead's height
     beneath it (k, 3); normal (k, 3); width and height (k) [m]."""
 
     bead: Ints
@@ -105,6 +108,7 @@ def contacts(beads: Sequence[Bead]) -> BeadContacts:
             found.append((one, other))
             left = np.setdiff1d(left, one)
     one, other = (np.concatenate(each) for each in zip(*found, strict=True)) if found else (np.empty(0, int),) * 2
+    one, other = _kept_along(places, one, other)
     order = np.lexsort((places.s[one], places.bead[other], places.bead[one]))
     one, other = one[order], other[order]
     return BeadContacts(
@@ -125,13 +129,13 @@ def _places(beads: Sequence[tuple[int, Bead]]) -> _BeadPlaces | None:
     table = np.concatenate(columns)
     s, tip, normal, width, height = table[:, 0], table[:, 1:4], table[:, 4:7], table[:, 7], table[:, 8]
     normal = normal / np.linalg.norm(normal, axis=1)[:, None]
-    halves = [0.5 * bead.length / (count - 1) for (_, bead), count in zip(beads, counts, strict=True)]
+    steps = [bead.length / (count - 1) for (_, bead), count in zip(beads, counts, strict=True)]
     number, layer = np.array([i for i, _ in beads]), np.array([bead.layer for _, bead in beads])
     return _BeadPlaces(
         np.repeat(number, counts),
         np.repeat(layer, counts),
         s,
-        np.repeat(halves, counts),
+        np.repeat(steps, counts),
         tip,
         tip - height[:, None] * normal,
         normal,
@@ -152,3 +156,33 @@ def _beneath(places: _BeadPlaces, left: Ints, rows: Ints, tree: cKDTree, reach: 
     beside = np.linalg.norm(way - rise[:, None] * places.normal[one], axis=1)
     on = (np.abs(rise) <= off * places.height[one]) & (beside <= _BESIDE * places.width[other])
     return one[on], other[on]
+
+
+def _kept_along(places: _BeadPlaces, one: Ints, other: Ints) -> tuple[Ints, Ints]:
+    """Of pairs (m) of a place and one that it lies on those that go on along the bead: where a place lies on several others that
+    are far from each other along their beads, these count that half of the places beside it lie on, too."""
+    order = np.lexsort((other, one))
+    one, other = one[order], other[order]
+    if not len(one):
+        return one, other
+    first = np.flatnonzero(np.append(True, np.diff(one) != 0))
+    which = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(one))))
+    apart = np.maximum.reduceat(other, first) - np.minimum.reduceat(other, first)
+    doubtful = np.flatnonzero(apart[which] > _ALONG)  # places are numbered along all beads, one after another
+    last = len(places.s)
+    key = one * (2 * last) + other
+    known, agree = np.zeros(len(doubtful)), np.zeros(len(doubtful))
+    for beside in _BOTH_SIDES:
+        place = np.clip(one[doubtful] + beside, 0, last - 1)
+        same = places.bead[place] == places.bead[one[doubtful]]
+        near = _ALONG + abs(beside)
+        low = np.searchsorted(key, place * (2 * last) + np.maximum(other[doubtful] - near, 0))
+        high = np.searchsorted(key, place * (2 * last) + np.minimum(other[doubtful] + near, last), side="right")
+        known += same
+        agree += same & (high > low)
+    lone = doubtful[2.0 * agree < known]
+    kept = np.ones(len(one), dtype=bool)
+    kept[lone] = False
+    none_left = np.add.reduceat(kept, first) == 0  # then all count
+    kept |= none_left[which]
+    return one[kept], other[kept]

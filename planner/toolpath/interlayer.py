@@ -331,7 +331,7 @@ def _mean_age(touching: BeadContacts, rows: Ints, toolpath: Toolpath, speeds: Ar
     upper, lower = touching.upper[rows], touching.lower[rows]
     lengths = np.array([bead.length for bead in toolpath.beads])
     within = (touching.at[rows] > 0.0) & (touching.at[rows] < lengths[upper])  # at its ends a bead has half a step
-    weight = np.where(within, 2.0, 1.0) * touching.around[rows] / speeds[upper]
+    weight = np.where(within, 1.0, 0.5) * touching.around[rows] / speeds[upper]
     widths = np.array([float(bead.width.min()) for bead in toolpath.beads])
     size = _BINS * widths
     key = np.column_stack([lower, (touching.below[rows] / size[lower]).astype(np.int64)])

@@ -2,8 +2,10 @@
 
 Worked out from the executed motion alone. A place that is laid looks down its own normal by its bead's height; the nearest
 place of an earlier layer that the nozzle has really laid there, at most so far beside it that the two beads overlap by a
-quarter of their width, is what it lies on. Where one bead rises over itself, as a spiral does, that is its own earlier turn.
-First layers, bridges and struts lie on nothing. All is in the part frame, in metres and seconds.
+quarter of their width, is what it lies on. Of several that are about as near, as the two ends of a closed bead, or beads
+that cross, it is the one whose age is that of what lies beside it along the bead. Where one bead rises over itself, as a
+spiral does, that is its own earlier turn. First layers, bridges and struts lie on nothing. All is in the part frame, in
+metres and seconds.
 """
 
 from __future__ import annotations
@@ -22,6 +24,9 @@ from planner.verify.pressed import laid_beads
 _STEP = 0.25  # bead's widths from place to place
 _BESIDE = 0.75  # bead's widths from the line of the bead below: there the two overlap by a quarter
 _OFF = 0.75  # bead's heights by which the bead below may lie higher or lower than one height down
+_AS_NEAR = 0.2  # bead's widths by which another place may be farther and count as being as near
+_NEAREST = 6  # places that are looked at
+_BESIDE_IT = 3  # places to either side along the bead, whose ages tell which of those is meant
 _OWN = 0.5  # likewise of the bead's own layer, all of whose other places lie a whole height higher
 
 
@@ -104,7 +109,28 @@ def ages(places: LaidPlaces) -> tuple[Array, Ints]:
 
     Not a number, and -1, where a place lies on nothing, or on what is there from the beginning.
     """
-    age, below = np.full(len(places.bead), np.nan), np.full(len(places.bead), -1)
+    others = _others(places)
+    there = others >= 0
+    age = np.where(there, places.time[:, None] - places.time[others], np.nan)
+    beside = np.arange(len(age))[:, None] + np.arange(-_BESIDE_IT, _BESIDE_IT + 1)
+    held = np.clip(beside, 0, len(age) - 1)
+    same = (held == beside) & (places.run[held] == places.run[:, None])
+    around = np.sort(np.where(same, age[held, 0], np.nan), axis=1)  # what is not a number comes last
+    count = np.isfinite(around).sum(axis=1)
+    usual = around[np.arange(len(age)), np.maximum(count - 1, 0) // 2]
+    off = np.abs(age - usual[:, None])
+    best = np.argmin(np.where(np.isnan(off), np.inf, off), axis=1)
+    below = others[np.arange(len(age)), best]
+    on = np.flatnonzero((below >= 0) & ~np.isnan(places.time[below]))
+    found, bead = np.full(len(age), np.nan), np.full(len(age), -1)
+    found[on] = places.time[on] - _when(places, on, below[on])
+    bead[on] = places.bead[below[on]]
+    return found, bead
+
+
+def _others(places: LaidPlaces) -> Ints:
+    """Places (k, _NEAREST) that each one may lie on, the nearest first; -1 for none."""
+    out = np.full((len(places.bead), _NEAREST), -1)
     numbers = np.unique(places.layer)
     rows = [np.flatnonzero(places.layer == number) for number in numbers]
     trees = [cKDTree(places.tip[own]) for own in rows]
@@ -118,16 +144,15 @@ def ages(places: LaidPlaces) -> tuple[Array, Ints]:
             down = places.down[left]
             if (down.min(axis=0) > high[j] + reach).any() or (down.max(axis=0) < low[j] - reach).any():
                 continue
-            away, near = trees[j].query(down, distance_upper_bound=reach)
-            hit = np.isfinite(away)
-            one, other = left[hit], rows[j][near[hit]]
+            away, near = trees[j].query(down, k=_NEAREST, distance_upper_bound=reach)
+            at, which = np.nonzero(np.isfinite(away) & (away <= away[:, :1] + _AS_NEAR * places.width[left, None]))
+            one, other = left[at], rows[j][near[at, which]]
             on = _lies_on(places, one, other, _OWN if j == k else _OFF)
             on &= ~(places.time[other] >= places.time[one])
-            one, other = one[on], other[on]
-            age[one] = places.time[one] - _when(places, one, other)
-            below[one] = np.where(np.isnan(age[one]), -1, places.bead[other])
-            left = np.setdiff1d(left, one, assume_unique=True)
-    return age, below
+            out[one[on], which[on]] = other[on]
+            left = np.setdiff1d(left, one[on])
+    empty = np.argsort(out < 0, axis=1, kind="stable")  # what is found comes first, the nearest before others
+    return np.take_along_axis(out, empty, axis=1)
 
 
 def _lies_on(places: LaidPlaces, one: Ints, other: Ints, off: float) -> Flags:
