@@ -174,7 +174,7 @@ def _kept_along(places: _BeadPlaces, one: Ints, other: Ints) -> tuple[Ints, Ints
     known, agree = np.zeros(len(doubtful)), np.zeros(len(doubtful))
     for beside in _BOTH_SIDES:
         place = np.clip(one[doubtful] + beside, 0, last - 1)
-        same = places.bead[place] == places.bead[one[doubtful]]
+        same = (place == one[doubtful] + beside) & (places.bead[place] == places.bead[one[doubtful]])
         near = _ALONG + abs(beside)
         low = np.searchsorted(key, place * (2 * last) + np.maximum(other[doubtful] - near, 0))
         high = np.searchsorted(key, place * (2 * last) + np.minimum(other[doubtful] + near, last), side="right")
