@@ -209,7 +209,9 @@ def test_orders_that_are_improved_come_near_the_best_of_all(seed: int) -> None:
     time = np.repeat(rng.uniform(1.0, 4.0, n), 2)
     travel = 0.2 * np.linalg.norm(spots[:, None] - spots[None], axis=2)
     earliest, latest = rng.uniform(0.0, 15.0, 2 * n), rng.uniform(15.0, 40.0, 2 * n)
-    layer = _OneLayer(time, travel, travel[0], earliest, latest, np.zeros(2 * n, dtype=np.int64), 1.0)
+    layer = _OneLayer(
+        time, lambda a, b: np.asarray(travel[a, b]), travel[0], earliest, latest, np.zeros(2 * n, dtype=np.int64), 1.0
+    )
     orders, ways = itertools.permutations(range(n)), list(itertools.product((0, 1), repeat=n))
     every = np.array([2 * np.array(order) + way for order in orders for way in ways])
     costs = layer.costs(every)

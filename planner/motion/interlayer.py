@@ -31,6 +31,9 @@ _STEP = 2e-3  # s between instants at which a bead's arc length is known
 _SPARE = 5e-3  # s by which a window is held more closely than asked: places are looked at a quarter of a width apart
 _SLIGHT = 1e-3  # s that nobody waits for
 _CLOSE = 0.01  # s to which the least window is found
+_SWEEPS = 200
+_MOST_WORK = 2_000_000_000  # beads times lags, up to which it is made sure that there is no solution
+_ROUNDING = 1e-9  # s
 _ROUNDS = 8  # of travels that become ones with a rest
 
 
@@ -123,6 +126,9 @@ def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -
         before = np.concatenate([before, lags.after[bound]])
         after = np.concatenate([after, lags.before[bound]])
         least = np.concatenate([least, -lags.most[bound] - more])
+    found = _swept(n, before, after, least)
+    if found is not None or len(before) * n > _MOST_WORK:
+        return found
     key = before.astype(np.int64) * n + after
     order = np.lexsort((-least, key))
     taken = order[np.append(True, np.diff(key[order]) != 0)[: len(order)]]  # of several the one that asks for most
@@ -131,6 +137,26 @@ def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -
         return np.asarray(-bellman_ford(graph, indices=0))
     except NegativeCycleError:
         return None
+
+
+def _swept(n: int, before: Ints, after: Ints, least: Array) -> Array | None:
+    """The same in few sweeps over all edges, where it can be had so: each bead follows the one before it, so that a sweep takes
+    whatever changes to the end at once. None where it cannot, or there is no solution."""
+    chain = np.full(n - 1, -np.inf)
+    next_ = after == before + 1
+    np.maximum.at(chain, before[next_], least[next_])
+    usual = np.append(0.0, np.cumsum(chain))
+    more, start = least - (usual[after] - usual[before]), np.zeros(n)
+    for _ in range(_SWEEPS):
+        swept = start.copy()
+        np.maximum.at(swept, after, start[before] + more)
+        swept = np.maximum.accumulate(swept)
+        if swept[0] > _ROUNDING:
+            return None
+        if (swept <= start + _ROUNDING).all():
+            return start + usual
+        start = swept
+    return None
 
 
 def _least(process: ProcessSpec, travel: Travel, visit: Visit | None) -> float:

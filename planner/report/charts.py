@@ -155,7 +155,10 @@ def _ages(plan: Plan) -> dict[str, Any]:
     t, ages, spec = plan.trajectory, plan.series[AGES], plan.problem.process.interlayer_time
     asked = () if spec is None else ((spec.least, "at least"), (spec.most, "at most"))
     trace = _stretches(t.t, ages, np.isfinite(ages), t.bead, "interlayer time", BLUE, 1.6, "%{y:.1f} s")
-    trace |= {"x": np.insert(trace["x"], 0, t.t[0]), "y": np.insert(trace["y"], 0, np.nan)}  # from the print's beginning
+    trace |= {
+        "x": np.insert(trace["x"], 0, t.t[0]),
+        "y": np.insert(trace["y"], 0, np.nan),
+    }  # from the print's beginning
     return _chart(
         "interlayer",
         "Age of what is below",

@@ -11,7 +11,7 @@ the motion is timed (`planner.motion.interlayer`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -60,7 +60,8 @@ def with_interlayer_order(problem: Problem, toolpath: Toolpath, fixed: int = 0) 
     if spec.most is not None:
         _check_most(problem, toolpath, touching, blocks, speeds, spec.most)
     if isinstance(problem.layers, AS_THE_FILE_SAYS):
-        return toolpath
+        note = "beads are laid in the file's own order: process.interlayer_time is kept by waits alone"
+        return replace(toolpath, notes=(*toolpath.notes, note))
     estimate = _Estimate.of(problem, toolpath, speeds)
     order, turned = _arranged(estimate, touching, blocks, spec)
     return _in_this_order(toolpath, order, turned)
@@ -111,14 +112,23 @@ class _Estimate:
         return self.length / self.speed
 
     def travel(self, before: Ints, after: Ints) -> Array:
-        """How long it takes (a, b) [s] from the end of beads `before` (a) to the start of those `after` (b), both as numbers of
+        """How long it takes (...) [s] from the end of beads `before` to the start of those `after` (...), both as numbers of
         directed beads: twice the bead's, and one more where it runs backwards."""
         start, end = self.ends[after // 2, after % 2], self.ends[before // 2, 1 - before % 2]
-        way = np.linalg.norm(end[:, None] - start[None], axis=-1) / self.process.travel_speed
-        runs = self.process.run_in * (1.0 / self.speed[before // 2, None] + 1.0 / self.speed[None, after // 2])
+        way = np.linalg.norm(end - start, axis=-1) / self.process.travel_speed
+        runs = self.process.run_in * (1.0 / self.speed[before // 2] + 1.0 / self.speed[after // 2])
         time = np.maximum(way + runs + _TO_TRAVEL, least_travel_time(self.process))
-        change = self.material[before // 2, None] != self.material[None, after // 2]
+        change = self.material[before // 2] != self.material[after // 2]
         return np.asarray(time + np.where(change, self.process.change.time + _BY_HOME, 0.0))
+
+    def travel_within(self, block: range) -> Callable[[Ints, Ints], Array]:
+        """The same of a block's directed beads by their numbers in it; looked up where orders will be compared."""
+        first = 2 * block.start
+        if len(block) > _MOST_SEARCHED:
+            return lambda before, after: self.travel(first + before, first + after)
+        both = np.arange(first, 2 * block.stop)
+        table = self.travel(both[:, None], both[None])
+        return lambda before, after: np.asarray(table[before, after])
 
     def when(self, bead: Ints, s: Array, turned: Flags) -> Array:
         """How long (m) after its start a bead is laid at arc length s (m) [s]."""
@@ -134,14 +144,14 @@ class _OneLayer:
     """What decides the order of a layer's beads (n), of which there are two directed ones each: 2 b, and backwards 2 b + 1.
 
     time (2n)                how long each takes [s]
-    travel (2n, 2n), to (2n) from one to another, and to the first one [s]
+    travel, to (2n)          how long it takes from some to others, and to the first one [s]
     earliest, latest (2n)    when each may begin at the earliest, and is to begin at the latest [s]
     rank (2n)
     begin                    when the bead before has been laid [s]
     """
 
     time: Array
-    travel: Array
+    travel: Callable[[Ints, Ints], Array]
     to: Array
     earliest: Array
     latest: Array
@@ -151,11 +161,10 @@ class _OneLayer:
     def starts(self, rows: Ints) -> Array:
         """When (c, n) each directed bead of some orders (c, n) begins [s]."""
         out = np.empty(rows.shape)
+        ways = np.column_stack([self.to[rows[:, 0]], self.travel(rows[:, :-1], rows[:, 1:])])
         now = np.full(len(rows), self.begin)
-        for k in range(rows.shape[1]):
-            own = rows[:, k]
-            way = self.to[own] if k == 0 else self.travel[rows[:, k - 1], own]
-            out[:, k] = np.maximum(now + way, self.earliest[own])
+        for k, own in enumerate(rows.T):
+            out[:, k] = np.maximum(now + ways[:, k], self.earliest[own])
             now = out[:, k] + self.time[own]
         return out
 
@@ -175,13 +184,12 @@ def _arranged(
     start = np.full(len(estimate.length), np.nan)  # of the beads that have their place
     last, now = -1, 0.0
     for block in blocks:
-        plain = 2 * np.arange(block.start, block.stop)
-        both = np.column_stack([plain, plain + 1]).ravel()
+        both = np.arange(2 * block.start, 2 * block.stop)
         beneath = _beneath(estimate, touching, block, start, turned, spec)
         layer = _OneLayer(
             np.repeat(estimate.time[block.start : block.stop], 2),
-            estimate.travel(both, both),
-            np.zeros(len(both)) if last < 0 else estimate.travel(np.array([last]), both)[0],
+            estimate.travel_within(block),
+            np.zeros(len(both)) if last < 0 else estimate.travel(np.full(len(both), last), both),
             beneath.earliest,
             beneath.latest,
             np.repeat(estimate.rank[block.start : block.stop], 2),
@@ -317,7 +325,9 @@ def _check_most(
             f"is {most:g} s, and places below layer {where + 1} are {worst:.1f} s old on an average when they are laid on, "
             "in whatever order beads are laid"
         )
-        hint = f"at least {np.ceil(worst * 10.0) / 10.0:g}, a higher speed_mm_s, or less in a layer"
+        hint = (
+            f"at least {np.ceil(worst * 10.0) / 10.0:g} and what travel takes, a higher speed_mm_s, or less in a layer"
+        )
         raise problem.error("process.interlayer_time.most_s", reason, hint)
 
 
