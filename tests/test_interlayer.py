@@ -22,6 +22,7 @@ from planner.export.plan_json import plan_json
 from planner.motion.interlayer import Lags, _longest
 from planner.plan import Plan, Trajectory
 from planner.plan.by_layer import AGES, layer_times
+from planner.planning.candidates import _too_slow_for_its_window
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.report.channels import channels
@@ -293,6 +294,16 @@ def test_a_window_that_the_motion_cannot_hold_is_told_with_one_that_it_can() -> 
     assert check.worst <= held + plan.t[1] and held < check.worst + 0.2
     assert not plan.verified
     assert f"most_s: {held:g} is held" in check.where
+
+
+def test_no_other_strategy_is_asked_where_none_could_be_quick_enough() -> None:
+    plan = plan_with("  interlayer_time: {most_s: 3}\n")
+    report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
+    assert _too_slow_for_its_window(report)
+    quick = plan_with(WINDOW)
+    assert not _too_slow_for_its_window(verify(quick.problem, quick.cell, quick.toolpath, quick.trajectory))
+    slow = replace(report, metrics=report.metrics | {"deposition_time_s": 9.0 * report.metrics["deposition_time_s"]})
+    assert not _too_slow_for_its_window(slow)
 
 
 # --- the verifier ------------------------------------------------------------------------------------------
