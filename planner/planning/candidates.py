@@ -112,8 +112,10 @@ def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool
 def _too_slow_for_its_window(report: Report) -> bool:
     """Whether all that fails is the greatest interlayer time, and would if the speed never dipped: no other joint paths help."""
     failing = [check for check in report.checks if not check.ok]
-    at_best = report.metrics["ideal_deposition_time_s"] / max(report.metrics["deposition_time_s"], 1e-9)
-    return [check.name for check in failing] == [OLDEST] and failing[0].worst * at_best > failing[0].limit
+    if [check.name for check in failing] != [OLDEST]:
+        return False
+    at_best = report.metrics["ideal_deposition_time_s"] / report.metrics["deposition_time_s"]
+    return failing[0].worst * at_best > failing[0].limit
 
 
 def _travel_share(own: PlannedPaths) -> float:
