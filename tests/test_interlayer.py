@@ -265,6 +265,9 @@ def test_the_motion_keeps_to_the_window_and_waits_no_longer_than_it_must() -> No
     for event in waits:
         resting = (plan.t > event.start + plan.t[1]) & (plan.t < event.start + event.duration - plan.t[1])
         assert np.ptp(plan.q[resting], axis=0).max(initial=0.0) < 1e-9
+        arm, radius = len(plan.cell.arm), np.linalg.norm(plan.tip[resting, :2] - np.array([31.4, 37]) * MM, axis=1)
+        at_home = np.abs(plan.q[resting, :arm] - plan.cell.home[:arm]).max() < 1e-6
+        assert at_home or radius.min() > (34 + 4.9) * MM  # lifted by no less than travel is
     names = {check.name for check in plan.checks}
     assert {"interlayer time at least", "interlayer time at most"} <= names
     assert not any("interlayer" in check.name for check in plain.checks)

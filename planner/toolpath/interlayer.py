@@ -313,8 +313,9 @@ def _check_most(
     pauses = {pause.before_layer - 1: pause.time for pause in problem.process.pauses}
     for k, block in enumerate(blocks):
         rows = np.arange(*np.searchsorted(touching.upper, [block.start, block.stop]))
-        own = np.column_stack([touching.upper[rows], touching.at[rows]])
-        rows = rows[np.sort(np.unique(own, axis=0, return_index=True)[1])]  # one below each place
+        order = rows[np.lexsort((touching.at[rows], touching.upper[rows]))]
+        again = (np.diff(touching.upper[order]) == 0) & (np.diff(touching.at[order]) == 0.0)
+        rows = order[np.append(True, ~again)[: len(order)]]  # one below each place
         beneath = block_of[touching.lower[rows]]
         for j in np.unique(beneath[beneath < k]).tolist():
             layer = toolpath.beads[block.start].layer
