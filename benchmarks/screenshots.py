@@ -26,7 +26,7 @@ from planner.report.html import write_report
 
 PICTURES = Path(__file__).resolve().parent.parent / "docs" / "pictures"
 DESK, PHONE = (1366, 768), (390, 844)
-LOGO, CAP = "cylinder_logo", "peer_cap"
+LOGO, CAP, HONEYCOMB = "cylinder_logo", "peer_cap", "hemisphere_honeycomb"
 OUT_OF_REACH = (CAP, "cell.bed_mm=[820,-50,380]")
 MOST = 250_000  # bytes; a larger picture gets a palette
 
@@ -91,6 +91,14 @@ def cap(folder: Path) -> Path:
 
 
 @cache
+def stacked(folder: Path) -> Path:
+    """The report of three curved layers, each laid back from where the one before ended."""
+    path = folder / "stacked.html"
+    write_report(solve(load(HONEYCOMB)), path)
+    return path
+
+
+@cache
 def refused(folder: Path) -> Path:
     """The report of a print that stands out of reach."""
     path = folder / "refused.html"
@@ -108,11 +116,19 @@ def worst_place(page: Page) -> None:
     page.locator(".judged [data-place]").first.click()
 
 
+def by_age(page: Page) -> None:
+    """The whole print, coloured by the age of what each place was laid on."""
+    page.select_option("#colour", "interlayer_time_s")
+    page.locator("#time").evaluate("time => { time.value = time.max; time.dispatchEvent(new Event('input')); }")
+    page.get_by_role("button", name="Print", exact=True).click()
+
+
 SHOTS = {
     "report_first_screen": Shot(planned, DESK),
     "report_worst_place": Shot(planned, DESK, worst_place),
     "report_failed": Shot(refused, DESK),
     "report_phone": Shot(planned, PHONE, lambda page: page.evaluate("() => scrollTo(0, 330)")),
+    "report_interlayer": Shot(stacked, (1366, 620), by_age),
     "report_roll_map": Shot(cap, DESK, part="#roll-map"),
 }
 

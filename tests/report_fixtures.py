@@ -24,6 +24,7 @@ def make_problem(name: str = "cylinder_stars") -> SimpleNamespace:
         name=name,
         file=Path("problems/cylinder_stars.yaml"),
         process=SimpleNamespace(
+            interlayer_time=None,
             speed=COMMANDED,
             travel_speed=0.2,
             filament_diameter=1.75e-3,

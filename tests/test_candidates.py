@@ -31,7 +31,7 @@ process:
 
 def planned(by: str, speed: float, time: float, verified: bool = True) -> PlannedPaths:
     metrics = {"at_speed_fraction": speed, "print_time_s": time, "deposition_time_s": 0.97 * time}
-    report: Any = SimpleNamespace(checks=(SimpleNamespace(ok=verified),), metrics=metrics)
+    report: Any = SimpleNamespace(checks=(SimpleNamespace(name="speed in deposition", ok=verified),), metrics=metrics)
     nothing: Any = ()
     return PlannedPaths(by, (), nothing, report, ())
 

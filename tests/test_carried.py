@@ -15,7 +15,7 @@ from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState, extremes
 from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, time_path
-from planner.motion.travel.plan import ViaHome, between_ends, carried_travels, plan_travels, slower
+from planner.motion.travel.plan import ViaRest, between_ends, carried_travels, plan_travels, slower
 from planner.plan.robustness import Displacement
 from planner.planning.robustness import displaced, followed, middle_of
 from planner.problem import Problem
@@ -114,8 +114,8 @@ def test_home_is_passed_on_the_way_where_it_was(
     there = [time_path(elsewhere, followed(elsewhere, piece.path)) for piece in timed[:2]]
     home = planned[0].start.q
     out = Cubics(planned[-1].times, planned[-1].coefficients)
-    via = ViaHome(between_ends(out, timed[0].end, still(home)), planned[0])
+    via = ViaRest(between_ends(out, timed[0].end, still(home)), planned[0])
     carried = carried_travels(elsewhere, [planned[0], via, planned[-1]], there, 0.5)[1]
-    assert isinstance(carried, ViaHome)
+    assert isinstance(carried, ViaRest)
     check_joined(carried.out, there[0].end, still(home))
     check_joined(carried.back, still(home), there[1].start)

@@ -816,7 +816,7 @@ def test_json_is_strict_and_complete():
             "versions",
             "baseline",
         ),
-        *("settings", "files", "dips", "events", "notes", "first_bead"),
+        *("settings", "files", "dips", "events", "layer_times", "notes", "first_bead"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None

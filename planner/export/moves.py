@@ -56,7 +56,7 @@ STILL = 1e-9  # rad that a joint moves in a sample, at most, where the robot sta
 ON_TIME = 1e-9  # s: by which an event may miss a sample and still fall on it
 SLOW, SHARE = 5e-3, 0.05  # rad/s, and of the speed around: below both a motion comes to rest
 AROUND = 0.1  # s
-AT_HOME = ("heat", "purge", "change", "pause", "cool")  # events for which the robot rests at home
+AT_HOME = ("heat", "purge", "change", "pause", "cool")  # events for which the robot rests at home, or lifted
 NEAR_EVENT = 2.0  # samples by which a rest may seem to begin behind its event
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.shipped import PROBLEMS
+from planner.plan.by_layer import LayerTimes, layer_times
 from planner.plan.plan import used
 
 if TYPE_CHECKING:
@@ -105,6 +106,7 @@ KEYS = {
     "verified": "whether every check holds, within the tolerance too where one was asked for",
     "checks": "each with name, worst value, limit, unit, ok, and where the worst is",
     "metrics": "by name",
+    "layer_times": "by layer: when it begins, how long it takes, and the age of what it is laid on",
     "notes": "what was left out of the input, or changed in it, in sentences",
     "nearer": "what nozzle and head keep from part and print, where that is less than usual, and why; only then",
     "splits": "where drawn beads are laid in pieces, each as a bead; only where process.split_beads made some",
@@ -160,6 +162,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
         "verified": plan.verified,
         "checks": checks,
         "metrics": plan.metrics,
+        "layer_times": [_layer(each) for each in layer_times(plan)],
         "notes": plan.toolpath.notes,
         **_nearer(plan),
         **_splits(plan),
@@ -192,6 +195,23 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
 def _as_given(problem: Problem) -> str:
     """A problem's file, or its name where it ships: wherever the package is, that says the same."""
     return problem.file.stem if problem.file.parent == PROBLEMS else problem.file.as_posix()
+
+
+def _layer(each: LayerTimes) -> dict[str, Any]:
+    """A layer in time."""
+    return {
+        "layer": each.layer,
+        "begin_s": round(each.begin, DIP_DECIMALS),
+        "time_s": round(each.time, DIP_DECIMALS),
+        "on_others_fraction": round(each.covered, DIP_DECIMALS),
+        "interlayer_min_s": _rounded(each.least),
+        "interlayer_median_s": _rounded(each.median),
+        "interlayer_max_s": _rounded(each.greatest),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, DIP_DECIMALS)
 
 
 def _nearer(plan: Plan) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +14,18 @@ from planner.base.errors import Refusal
 from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, chain, rest
 from planner.motion.extrusion import Span, events, extruded_volume, feed_of_materials, flow
+from planner.motion.interlayer import begins, lags_of
 from planner.motion.timing.timed_path import TimedPath
-from planner.motion.travel.plan import Travel, ViaHome
+from planner.motion.travel.plan import Travel, ViaRest
 from planner.motion.visits import Rest, Visit, rest_of, visits
 from planner.plan import TRAVEL, Trajectory
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.contacts import BeadContacts
 from planner.toolpath.runs import least_travel_time
 
 BLOCK = 32768  # samples
+_SLIGHT = 1e-3  # s that nobody waits for
 _ON_TIME = 1e-9  # of a sample: an instant this close behind a sample counts as on it
 
 
@@ -32,14 +36,16 @@ def join(
     timed: Sequence[TimedPath],
     travels: Sequence[Travel],
     dt: float,
+    touching: BeadContacts | None = None,
 ) -> Trajectory:
     """Rest at home while the extruder gets ready, then travel, bead, travel, …, travel, sampled every dt [s].
 
     timed: all beads of the toolpath, or the last ones. Travel by way of home rests there as long as its visit takes (see
-    `visits`). At the end the robot rests.
+    `visits`), or what is below has to grow older; touching: what that is told from, see `contacts_within`. At the end the
+    robot rests.
     """
     before = len(toolpath.beads) - len(timed)
-    rests = _rests(toolpath, process, timed, travels)
+    rests = _rests(toolpath, process, timed, travels, touching)
     moves = [_whole(travel, process, rests.get(before + k)) for k, travel in enumerate(travels)]
     pieces: list[TimedPath | Cubics] = [chain([rest(moves[0].start.q, process.start.time), moves[0]])]
     for path, move in zip(timed, moves[1:], strict=True):
@@ -104,23 +110,36 @@ def join(
 
 
 def _rests(
-    toolpath: Toolpath, process: ProcessSpec, timed: Sequence[TimedPath], travels: Sequence[Travel]
+    toolpath: Toolpath,
+    process: ProcessSpec,
+    timed: Sequence[TimedPath],
+    travels: Sequence[Travel],
+    touching: BeadContacts | None,
 ) -> dict[int, Rest]:
-    """When and how long the robot rests at home before beads, by their index."""
-    by_home, beads = visits(process, toolpath.beads, timed), toolpath.beads
-    if not by_home:
+    """When and how long the robot rests before beads, by their index."""
+    if not any(isinstance(travel, ViaRest) for travel in travels):
         return {}
-    before, now = len(beads) - len(timed), process.start.time
+    by_home, beads = visits(process, toolpath.beads, timed), toolpath.beads
+    start = None  # when beads are to begin, from the first one's on [s]
+    if touching is not None:
+        start = begins(process, toolpath, timed, travels, lags_of(process, toolpath, timed, touching))
+    before, now, first = len(beads) - len(timed), process.start.time, 0.0
     found: dict[int, Rest] = {}
     begun: list[float] = []  # when the beads began to be laid [s]
     for k, (path, travel) in enumerate(zip(timed, travels, strict=False)):
-        if isinstance(travel, ViaHome):
+        if isinstance(travel, ViaRest):
             visit, now = by_home.get(before + k, Visit()), now + travel.out.duration
             layer = 0.0 if visit.layer_before is None else begun[visit.layer_before - before]
-            found[before + k] = rest_of(process, visit, now, travel.back.duration + path.when(0.0), layer)
+            rest = rest_of(process, visit, now, travel.back.duration + path.when(0.0), layer)
+            if start is not None:
+                due = first + float(start[k]) - travel.back.duration
+                lacking = due - now - rest.time(process)
+                rest = replace(rest, cool=rest.cool + lacking) if lacking > _SLIGHT else rest
+            found[before + k] = rest
             now += found[before + k].time(process) + travel.back.duration
         else:
             now += travel.duration
+        first = now if k == 0 else first
         begun.append(now + path.when(0.0))
         now += path.duration
     return found
@@ -128,7 +147,7 @@ def _rests(
 
 def _whole(travel: Travel, process: ProcessSpec, at_home: Rest | None) -> Cubics:
     """One motion of a travel, with the rest at home in it, if it goes there."""
-    if not isinstance(travel, ViaHome):
+    if not isinstance(travel, ViaRest):
         return travel
     time = 0.0 if at_home is None else at_home.time(process)
     return chain([travel.out, rest(travel.out.end.q, time), travel.back])

@@ -1,4 +1,7 @@
-"""Rests at home between beads: until a layer is cool, for a pause that was asked for, for a change of material."""
+"""Rests at home between beads: until a layer is cool, for a pause that was asked for, for a change of material.
+
+Waits for what is below a bead are `planner.motion.interlayer`'s.
+"""
 
 from __future__ import annotations
 

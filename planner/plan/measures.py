@@ -34,6 +34,7 @@ ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
 ONLY_SCANNED = "as_printed is given"
 ONLY_LEARNED = "as_run is given"
+ONLY_STACKED = "something is laid on what the same print laid before"
 ONLY_BOUNDED = (
     "process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
     "are free (positioner, rail, an arm of seven axes)"
@@ -45,6 +46,17 @@ METRICS: dict[str, Measure] = {
     "waypoints": Measure("", "points that the beads are described by", "counted"),
     "deposited_length_mm": Measure("mm", "length of all beads", "sum of their arc lengths, run-in and run-out aside"),
     "print_time_s": Measure("s", "time of the whole print", "time of the last sample: travel, waits and cuts included"),
+    "interlayer_time_min_s": Measure(
+        "s",
+        "age of what a place is laid on, at least",
+        "executed tips: since the nearest place of an earlier layer was laid, one bead's height down the normal and at most "
+        "three quarters of a bead's width beside; bridges and struts lie on nothing",
+        ONLY_STACKED,
+    ),
+    "interlayer_time_median_s": Measure(
+        "s", "the same, in the middle", "median along what lies on others", ONLY_STACKED
+    ),
+    "interlayer_time_max_s": Measure("s", "the same, at most", "likewise", ONLY_STACKED),
     "deposition_time_s": Measure("s", "time in which material is laid", "samples that deposit, times their spacing"),
     "ideal_deposition_time_s": Measure(
         "s", "that time if the speed never dipped", "length of the beads over the commanded speed"
@@ -389,6 +401,18 @@ CHECKS: dict[str, Measure] = {
         "from a layer's beginning to the next one's passes the time that a layer takes at least",
         "the limit is two samples less",
         "process.layer_time is given",
+    ),
+    "interlayer time at least": Measure(
+        "s",
+        "no place is laid on before it is as old as process.interlayer_time asks",
+        "see interlayer_time_min_s; the limit is one sample less",
+        "process.interlayer_time.least_s is given",
+    ),
+    "interlayer time at most": Measure(
+        "s",
+        "no place is laid on when it is older than process.interlayer_time allows",
+        "see interlayer_time_max_s; the limit is one sample more",
+        "process.interlayer_time.most_s is given",
     ),
     "pauses before layers": Measure(
         "s missing",

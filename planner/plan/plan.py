@@ -242,7 +242,8 @@ class Plan:
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
     series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
               sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
-              tilt_deg (where the nozzle may lean from the normal), clearance_mm (of whatever is nearest; no more than 50)
+              tilt_deg (where the nozzle may lean from the normal), clearance_mm (of whatever is nearest; no more than 50),
+              interlayer_time_s (where something lies on what was laid before; not a number elsewhere)
     timing_s: seconds by stage
     baseline: strategy name → its metrics, for the summary beside the chosen strategy
     dips:     where the speed falls short of the commanded one, in order of time

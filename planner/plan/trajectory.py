@@ -15,7 +15,7 @@ TRAVEL = -1  # index of the bead where there is none
 @dataclass(frozen=True)
 class Event:
     """Something that the extruder or its heating does: "heat", "select", "purge", "prime", "retract", "cut", "change",
-    "pause" (which a layer asks for), "cool" (a rest until the layer before has had its time).
+    "pause" (which a layer asks for), "cool" (a rest until the layer before has had its time, or what is below is old enough).
 
     bead its index, or -1; start, duration [s]; amount of filament [m], signed, 0 if none
     material by its name: what is moved, or selected, or changed to; empty where materials have no names

@@ -24,6 +24,7 @@ from planner.resolve.terms import model_of
 from planner.verify.verdict import Report
 
 DEFAULT = "sqp"
+OLDEST = "interlayer time at most"  # the check of a window that is too narrow for what a layer takes
 SIMPLER = ("ladder", "as_published", "fixed", "greedy")
 # Of these, the ones that search a part of what the default's first search covers whole, unless there are several joints to
 # choose, and are seldom worth their time. Their tables rest but for one axis, too: where cones bind a table they lead nowhere.
@@ -103,9 +104,18 @@ def best_of_all(
 
 def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool:
     if not own.verified:
-        return True
+        return not _too_slow_for_its_window(own.report)
     much = SOME_TRAVEL if waypoints <= TINY else TRAVEL_SHARE
     return waypoints <= LARGE and beads <= MANY and (own.at_speed < AT_SPEED or _travel_share(own) > much)
+
+
+def _too_slow_for_its_window(report: Report) -> bool:
+    """Whether all that fails is the greatest interlayer time, and would if the speed never dipped: no other joint paths help."""
+    failing = [check for check in report.checks if not check.ok]
+    if [check.name for check in failing] != [OLDEST]:
+        return False
+    at_best = report.metrics["ideal_deposition_time_s"] / report.metrics["deposition_time_s"]
+    return failing[0].worst * at_best > failing[0].limit
 
 
 def _travel_share(own: PlannedPaths) -> float:

@@ -33,6 +33,7 @@ from planner.export.write import (
 )
 from planner.motion.as_run import asked_of, corrections_of
 from planner.motion.dips import find_dips
+from planner.motion.interlayer import contacts_within, with_rests
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
@@ -561,7 +562,10 @@ def trajectory_of(
         timed = [replace(each, path=path) for each, path in zip(halves, paths, strict=True)]  # no path twice in memory
     with stages.stage("travel"):
         travels = [each for half in in_halves(ways, n, second_process) for each in half]
-        trajectory = join(cell, toolpath, problem.process, timed, travels, dt)
+        touching = contacts_within(problem.process, toolpath)
+        if touching is not None:
+            travels = with_rests(cell, timed, toolpath, problem.process, travels, obstacles, touching)
+        trajectory = join(cell, toolpath, problem.process, timed, travels, dt, touching)
     return trajectory, travels
 
 
@@ -575,7 +579,7 @@ def _elsewhere(
         plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
         for i, way in enumerate(carried_travels(cell, travels, timed, process.travel_speed))
     ]
-    return join(cell, toolpath, process, timed, carried, dt)
+    return join(cell, toolpath, process, timed, carried, dt, contacts_within(process, toolpath))
 
 
 def _waypoints(toolpath: Toolpath) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import BeforeValidator, ConfigDict, model_validator
 
 from planner.problem.fields import (
     TEXT,
@@ -26,6 +26,7 @@ LayerNumber = Annotated[int, Quantity("", 1, 100_000, whole=True)]
 
 LEAST_WAIT = 0.1  # s: five of the coarsest samples, so that what happens before and after never falls into the same one
 _SLOWEST = 0.5  # of the process's speed, where nothing else is given: below, thin beads drag and pull off
+_DAY = 86_400  # s
 _MOST = 100  # rules, pauses or patterns: each is looked up for every bead
 
 
@@ -80,6 +81,29 @@ class LayerTimeSpec(Section):
     def floor(self, usual: float) -> float:
         """Speed [m/s] that beads are slowed down to at most, where the process's is `usual`."""
         return _SLOWEST * usual if self.slowest is None else self.slowest
+
+
+class InterlayerTimeSpec(Section):
+    """The window of ages that a place may have when the next layer's bead comes to lie on it."""
+
+    model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["least_s"]}, {"required": ["most_s"]}]})
+
+    least: Annotated[float, Quantity("s", LEAST_WAIT, _DAY)] | None = key(
+        "least_s", "no place is laid on before it is so old [s]; default: no matter", None
+    )
+    most: Annotated[float, Quantity("s", LEAST_WAIT, _DAY)] | None = key(
+        "most_s", "no place is laid on when it is older [s]; default: no matter", None
+    )
+
+    @model_validator(mode="after")
+    def _a_window(self) -> InterlayerTimeSpec:
+        both = ["least_s", "most_s"]
+        if self.least is None and self.most is None:
+            raise refusal("give least_s, most_s or both", "for example {least_s: 20, most_s: 120}", fields=both)
+        if self.least is not None and self.most is not None and self.least > self.most:
+            reason = f"least_s is {self.least:g}, more than most_s {self.most:g}"
+            raise refusal(reason, "a window between a least and a greatest time", fields=both)
+        return self
 
 
 class PauseSpec(Section):

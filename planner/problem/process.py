@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
-from planner.problem.by_layer import LEAST_WAIT, LayerTimeSpec, Order, Pauses, SeamSpec, SkirtSpec, Speed, Speeds
+from planner.problem.by_layer import (
+    LEAST_WAIT,
+    InterlayerTimeSpec,
+    LayerTimeSpec,
+    Order,
+    Pauses,
+    SeamSpec,
+    SkirtSpec,
+    Speed,
+    Speeds,
+)
 from planner.problem.fields import (
     IDENTIFIER,
     LONGEST_NAME,
@@ -463,6 +473,11 @@ class ProcessSpec(AroundBeadSpec):
         "speeds", "other speeds, of some layers or beads; of several that a bead has, the last; default: none", ()
     )
     layer_time: LayerTimeSpec | None = key("layer_time", "how long a layer takes at least; default: no matter", None)
+    interlayer_time: InterlayerTimeSpec | None = key(
+        "interlayer_time",
+        "how old a place is at least, and at most, when the bead above comes to lie on it; default: no matter",
+        None,
+    )
     pauses: Pauses = key("pauses", "rests at home before some layers; default: none", ())
     order: Order = key(
         "order",

@@ -57,6 +57,8 @@ EXAMPLES: dict[str, str] = {
     "to_layer": "1",
     "beads": "'*infill*'",
     "layer_time": "{least_s: 20}",
+    "interlayer_time": "{least_s: 20, most_s: 120}",
+    "most_s": "120",
     "least_s": "20",
     "slowest_mm_s": "10",
     "pauses": "[{before_layer: 12, wait_s: 60, for: put the nuts in}]",

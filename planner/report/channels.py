@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
+from planner.plan.by_layer import AGES
 from planner.report.extruder import even_flow, surplus
 from planner.report.page import coarse
 
@@ -65,6 +66,8 @@ def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
         first = int(traj.layer[kept].min()) + 1
         ends = None if layers >= FEW_LAYERS else [first + k + 0.5 for k in range(layers)]
         out.append(_channel("layer", "Layer", "", traj.layer[kept] + 1.0, "none", digits=0, inner=ends))
+    ages = _ages(plan, kept)
+    out += [] if ages is None else [ages]
     shown = next((k for k, each in enumerate(out) if _most_alike(each) < MOST_ALIKE), 0)
     return [{**each, "first": k == shown} for k, each in enumerate(out)]
 
@@ -78,6 +81,19 @@ def _speed(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any]:
         label, unit, whole, speed = "Tip speed, of the bead's own", "%", 100.0, 100.0 * speed / commanded
     low, high = min(float(speed.min()), 0.9 * whole), max(float(speed.max()), whole)
     return _channel("speed", label, unit, speed, "low", low, high, inner=[share * whole for share in SPEEDS])
+
+
+def _ages(plan: Plan, kept: NDArray[np.intp]) -> dict[str, Any] | None:
+    """How old what is below is; classes end at the window that is asked for, too. None where nothing lies on anything."""
+    values = plan.series[AGES][kept] if AGES in plan.series else np.empty(0)
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return None
+    spec, inner = plan.problem.process.interlayer_time, None
+    if spec is not None:
+        even = np.round(np.quantile(finite, [k / 4 for k in range(1, 4)]), 1).tolist()
+        inner = [*even, *(edge for edge in (spec.least, spec.most) if edge is not None)]
+    return _channel(AGES, "Age of what is below, interlayer time", "s", values, "none", inner=inner)
 
 
 def edges_of(values: Array, inner: Sequence[float] | None, bad: str, digits: int) -> Array:

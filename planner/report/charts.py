@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.plan.by_layer import AGES
 from planner.report.extruder import even_flow, flow_note, pushed, pushes_otherwise
 from planner.report.joints import shown_units
 from planner.report.scene import INK, PAPER
@@ -72,6 +73,8 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
                 from_zero=True,
             )
         )
+    if AGES in plan.series:
+        charts.append(_ages(plan))
     if "tilt_deg" in plan.series:
         cone = float(np.degrees(plan.problem.process.cones.tilt))
         charts.append(
@@ -148,6 +151,25 @@ def _flow(plan: Plan) -> dict[str, Any]:
     return _chart("flow", "Flow of material", "mm³/s", curves, note=flow_note(plan), from_zero=True)
 
 
+def _ages(plan: Plan) -> dict[str, Any]:
+    t, ages, spec = plan.trajectory, plan.series[AGES], plan.problem.process.interlayer_time
+    asked = () if spec is None else ((spec.least, "at least"), (spec.most, "at most"))
+    trace = _stretches(t.t, ages, np.isfinite(ages), t.bead, "interlayer time", BLUE, 1.6, "%{y:.1f} s")
+    trace |= {
+        "x": np.insert(trace["x"], 0, t.t[0]),
+        "y": np.insert(trace["y"], 0, np.nan),
+    }  # from the print's beginning
+    return _chart(
+        "interlayer",
+        "Age of what is below",
+        "s",
+        [trace],
+        note="How long ago what the nozzle lays on was laid. Gaps are travel, first layers and bridges.",
+        lines=[(value, f"{words} {value:g} s") for value, words in asked if value is not None],
+        from_zero=True,
+    )
+
+
 def _ratio(plan: Plan, name: str, label: str, colour: str) -> dict[str, Any]:
     values = np.abs(plan.series[name])
     if values.ndim == 1:
@@ -165,7 +187,9 @@ def _curve(plan: Plan, y: Array, name: str, colour: str, hover: str) -> dict[str
     return _line(plan.trajectory.t[kept], y[kept], name, colour, 1.3, hover)
 
 
-def _stretches(t: Array, y: Array, mask: Any, label: Any, name: str, colour: str, width: float) -> dict[str, Any]:
+def _stretches(
+    t: Array, y: Array, mask: Any, label: Any, name: str, colour: str, width: float, hover: str = "%{y:.2f} mm/s"
+) -> dict[str, Any]:
     """The part of a curve where `mask` holds, with a gap between stretches."""
     index, begin, end = stretches(mask, label)
     kept = keep_minima([y[index], -y[index]], CURVE_BUDGET, np.union1d(begin, end)) if len(index) else index
@@ -173,7 +197,7 @@ def _stretches(t: Array, y: Array, mask: Any, label: Any, name: str, colour: str
     starts[begin] = True
     breaks = np.flatnonzero(starts[kept])[1:]
     kept = index[kept]
-    trace = _line(t[kept], y[kept], name, colour, width, "%{y:.2f} mm/s")
+    trace = _line(t[kept], y[kept], name, colour, width, hover)
     return trace | {"x": with_gaps(t[kept], breaks), "y": with_gaps(y[kept], breaks), "connectgaps": False}
 
 

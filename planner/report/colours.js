@@ -32,7 +32,7 @@ function makeColours(stage, scene, changed) {
       const item = document.createElement("li"), chip = document.createElement("i");
       chip.style.background = `rgb(${rgb.join()})`;
       const [low, high] = [edges[k].toFixed(digits), edges[k + 1].toFixed(digits)];
-      item.append(chip, bad === "none" && count === layers.length ? String(Math.round(edges[k + 1])) : low === high ? low : `${low} – ${high}`);
+      item.append(chip, channel.key === "layer" && count === layers.length ? String(Math.round(edges[k + 1])) : low === high ? low : `${low} – ${high}`);
       item.title = `${(100 * channel.shares[k]).toFixed(channel.shares[k] < 0.1 ? 1 : 0)} % of what is laid`;
       return item;
     }));

@@ -28,7 +28,7 @@ WORDS = {
     "retract": "retract, after a bead",
     "cut": "cut the fibre, at rest on the bead",
     "pause": "pause before a layer, at home",
-    "cool": "wait until the layer before is cool, at home",
+    "cool": "wait until what is below is cool, at home or lifted",
 }
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from planner.base.arrays import Array
+from planner.plan.by_layer import AGES, layer_times
 from planner.report import page
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
@@ -44,6 +45,7 @@ def stage(*, name: str, moves: bool, layers: int, dips: bool, marks: bool) -> di
 # The whole report.
 
 DEFAULT_DT = 0.004
+MOST_LAYERS = 200  # in the table
 
 
 FORECAST = Markup("<!-- forecast -->")  # the place of what is known only when all programs are written
@@ -94,6 +96,8 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
         forecast=FORECAST,
         dips_told=_dips_told(plan),
         dips_section=dips_section(plan, listed.dips_places),
+        layer_table=_layers_section(plan),
+        layers_told=_layers_told(plan),
         materials=materials_section(plan),
         events=events_section(plan),
         robustness=robustness_section(plan),
@@ -108,6 +112,25 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
     sentences = forecast()
     section = render("forecast", sentences=sentences) if sentences else ""
     page.write_text(Path(path), text.replace(FORECAST, section, 1))
+
+
+def _layers_section(plan: Plan) -> Markup:
+    """HTML of the layers in time; empty where there is one."""
+    layers = layer_times(plan)
+    if len(layers) < 2:
+        return Markup("")
+    spec = plan.problem.process.interlayer_time
+    least, most = (None, None) if spec is None else (spec.least, spec.most)
+    left_out = max(len(layers) - MOST_LAYERS, 0)
+    return render("layers", layers=layers[:MOST_LAYERS], left_out=left_out, least=least, most=most)
+
+
+def _layers_told(plan: Plan) -> str:
+    """Between what ages layers are laid on each other."""
+    if AGES not in plan.series:
+        return "no layer is laid on another"
+    ages = plan.series[AGES]
+    return f"laid on what is {number(np.nanmin(ages), 1)} to {number(np.nanmax(ages), 1)} s old"
 
 
 def _rest_told(listed: JudgedList) -> str:

@@ -64,12 +64,17 @@ def build_toolpath(problem: Problem) -> Toolpath:
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
+    drawn = len(toolpath.beads)
     if (spec := problem.process.skirt) is not None:
         from planner.toolpath.skirt import with_skirt  # with shapely, which is slow to import
 
         toolpath = with_skirt(problem, toolpath, spec)
     check_laid(problem, toolpath)
     check_layers(problem, toolpath)
+    if problem.process.interlayer_time is not None:
+        from planner.toolpath.interlayer import with_interlayer_order  # of no use to others
+
+        toolpath = with_interlayer_order(problem, toolpath, len(toolpath.beads) - drawn)
     toolpath = on_what_is_printed(problem, toolpath)
     toolpath = with_speeds(problem, toolpath)
     materials = problem.process.materials

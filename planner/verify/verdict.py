@@ -41,6 +41,7 @@ from planner.verify.checks import (
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion, straight_at, wrist_straightens
 from planner.verify.input_normals import file_normals
+from planner.verify.interlayer import interlayer
 from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 from planner.verify.pressed import pressed
@@ -110,6 +111,7 @@ def verify(
             _speed(judged),
             extrusion(judged),
             by_layer(judged),
+            interlayer(judged),
             as_printed(judged),
             pressed(judged),
             _tip_outside(judged),

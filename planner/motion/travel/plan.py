@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
+from types import MappingProxyType
 
 import numpy as np
 
@@ -42,6 +44,7 @@ _PLACES = 31  # along the normal, that the tip keeps to
 _LEAST = 1e-6  # m: a lower lift is none
 # Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
 _REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
+NO_WAITS: Mapping[int, float] = MappingProxyType({})
 _LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
 
 
@@ -69,14 +72,19 @@ class Task:
 
 
 @dataclass(frozen=True)
-class ViaHome:
-    """Travel by way of home: to there and from there, at rest in between."""
+class ViaRest:
+    """Travel by way of a place to rest, which is home, or lifted above the bead before: to there and from there."""
 
     out: Cubics
     back: Cubics
 
+    @property
+    def duration(self) -> float:
+        """Of both ways together, without the rest [s]."""
+        return self.out.duration + self.back.duration
 
-Travel = Cubics | ViaHome
+
+Travel = Cubics | ViaRest
 
 
 def plan_travels(
@@ -84,12 +92,16 @@ def plan_travels(
     timed: Sequence[TimedPath],
     toolpath: Toolpath,
     process: ProcessSpec,
-    which: range | None = None,
+    which: Sequence[int] | None = None,
     obstacles: Obstacles = NOTHING,
+    within: Mapping[int, float] = NO_WAITS,
 ) -> list[Travel]:
     """The way from home to the first bead, between beads, and home: one more than are timed; or `which` of them.
 
     timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
+
+    within: travels, by their number, in which there is time to rest, and how long they may take [s]: by way of home, or where
+    that takes longer, lifted.
 
     With the runs beside it each leaves the extruder the time to retract and prime. Where there is something to wait for
     (see `visits`) it goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
@@ -117,17 +129,36 @@ def plan_travels(
             raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
         return motion
 
+    def by_way_of(i: int, rest: JointState, leave: TimedPath, reach: TimedPath) -> ViaRest:
+        return ViaRest(way(i, leave.end, rest, leave, None), way(i, rest, reach.start, None, reach))
+
+    def with_rest(i: int, longest: float, leave: TimedPath, reach: TimedPath) -> ViaRest:
+        refusal: Refusal | None = None
+        found: list[ViaRest] = []
+        space = travel_clearance(cell, surfaces[i], printed[i], process.lift, leave.end, reach.start)
+        lifted, _ = above(cell, Ends(leave.end, reach.start, 0.0, bounds), space, space.lift)
+        for place in (_home_beside(cell, leave.end), lifted):
+            if not (found and found[0].duration <= longest):
+                try:
+                    found.append(by_way_of(i, place, leave, reach))
+                except Refusal as none:
+                    refusal = refusal or none
+        if refusal is not None and not found:
+            raise refusal
+        return min(found, key=attrgetter("duration"))
+
     for k in range(len(timed) + 1) if which is None else which:
         i = before + k
         leave = timed[k - 1] if k > 0 else None
         reach = timed[k] if k < len(timed) else None
         start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
         end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
-        if leave is None or reach is None or i not in by_home:
+        if leave is None or reach is None or (i not in by_home and k not in within):
             travels.append(way(i, start, end, leave, reach))
+        elif i in by_home:
+            travels.append(by_way_of(i, _home_beside(cell, start), leave, reach))
         else:
-            home = _home_beside(cell, start)
-            travels.append(ViaHome(way(i, start, home, leave, None), way(i, home, end, None, reach)))
+            travels.append(with_rest(i, within[k], leave, reach))
     return travels
 
 
@@ -366,11 +397,11 @@ def carried_travels(
     for i, travel in enumerate(travels):
         start = None if i == 0 else timed[i - 1].end
         end = None if i == len(timed) else timed[i].start
-        if not isinstance(travel, ViaHome):
+        if not isinstance(travel, ViaRest):
             out.append(_carried(cell, travel, start, end, speed))
             continue
         away, back = _carried(cell, travel.out, start, None, speed), _carried(cell, travel.back, None, end, speed)
-        out.append(None if away is None or back is None else ViaHome(away, back))
+        out.append(None if away is None or back is None else ViaRest(away, back))
     return out
 
 

@@ -1,0 +1,213 @@
+"""Interlayer time: how old the bead below is when the nozzle lays a place on it, and whether that is within what is asked.
+
+Worked out from the executed motion alone. A place that is laid looks down its own normal by its bead's height; the nearest
+place of an earlier layer that the nozzle has really laid there, at most so far beside it that the two beads overlap by a
+quarter of their width, is what it lies on. Of several that are about as near, as the two ends of a closed bead, or beads
+that cross, it is the one whose age is that of what lies beside it along the bead. Where one bead rises over itself, as a
+spiral does, that is its own earlier turn. First layers, bridges and struts lie on nothing. All is in the part frame, in
+metres and seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Flags, Ints
+from planner.plan import Check
+from planner.plan.by_layer import AGES
+from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
+from planner.verify.pressed import laid_beads
+
+_STEP = 0.25  # bead's widths from place to place
+_BESIDE = 0.75  # bead's widths from the line of the bead below: there the two overlap by a quarter
+_OFF = 0.75  # bead's heights by which the bead below may lie higher or lower than one height down
+_AS_NEAR = 0.2  # bead's widths by which another place may be farther and count as being as near
+_NEAREST = 6  # places that are looked at
+_BESIDE_IT = 3  # places to either side along the bead, whose ages tell which of those is meant
+_OWN = 0.5  # likewise of the bead's own layer, all of whose other places lie a whole height higher
+
+
+@dataclass(frozen=True)
+class LaidPlaces:
+    """Places (k) along what is laid, in order of time; those that are there from the beginning come first.
+
+    tip, down (k, 3)        the nozzle's tip, and one bead's height beneath it along the normal [m]
+    normal (k, 3), width, height (k)
+    bead, layer, sample (k) sample is -1 for what is there from the beginning
+    time (k) [s]            when it is laid, not a number for what is there from the beginning
+    run (k)                 number of the stretch that is laid without interruption
+    """
+
+    tip: Array
+    down: Array
+    normal: Array
+    width: Array
+    height: Array
+    bead: Ints
+    layer: Ints
+    sample: Ints
+    time: Array
+    run: Ints
+
+
+def interlayer(judged: Judged) -> Findings:
+    """Ages of what is below each place, and the checks of what the problem asks of them."""
+    spec = judged.problem.process.interlayer_time
+    if not judged.trajectory.deposit.any():
+        return Findings()
+    places = _places(judged)
+    age, below = ages(places)
+    known = np.flatnonzero(np.isfinite(age))
+    checks = []
+    for least, asked in ((True, None if spec is None else spec.least), (False, None if spec is None else spec.most)):
+        if asked is not None:
+            checks.append(_check(judged, places, age, below, known, asked, least))
+    if not len(known):
+        return Findings(tuple(checks))
+    found = age[known]
+    metrics = {
+        "interlayer_time_min_s": float(found.min()),
+        "interlayer_time_median_s": float(np.median(found)),
+        "interlayer_time_max_s": float(found.max()),
+    }
+    return Findings(tuple(checks), metrics, {AGES: _by_sample(judged, places, age)})
+
+
+def _places(judged: Judged) -> LaidPlaces:
+    """Places along what the motion lays, a quarter of a bead's width apart; a nozzle that rests lays one."""
+    laid, t = laid_beads(judged), judged.trajectory
+    begins = np.append(True, np.diff(laid.bead) != 0)
+    run = np.cumsum(begins) - 1
+    step = np.append(0.0, np.linalg.norm(np.diff(laid.tip, axis=0), axis=1)) / (_STEP * laid.width)
+    way = np.cumsum(np.where(begins, 0.0, step))
+    number = np.floor(way - way[np.flatnonzero(begins)][run])
+    moved = np.append(True, np.diff(number) > 0)
+    last = np.append(begins[1:], True) & (step > 0.0)
+    at = np.flatnonzero(begins | moved | last)
+    at = at[~np.array([bead.round for bead in judged.toolpath.beads])[laid.bead[at]]]
+    layers = np.array([bead.layer for bead in judged.toolpath.beads])
+    sample = laid.sample[at].astype(np.int64)
+    return LaidPlaces(
+        tip=laid.tip[at],
+        down=laid.tip[at] - laid.height[at, None] * laid.normal[at],
+        normal=laid.normal[at],
+        width=laid.width[at],
+        height=laid.height[at],
+        bead=laid.bead[at],
+        layer=layers[laid.bead[at]],
+        sample=sample,
+        time=np.where(sample >= 0, t.t[sample], np.nan),
+        run=run[at],
+    )
+
+
+def ages(places: LaidPlaces) -> tuple[Array, Ints]:
+    """Age (k) [s] of what each place lies on when it is laid, and the bead (k) that it is of.
+
+    Not a number, and -1, where a place lies on nothing, or on what is there from the beginning.
+    """
+    others = _others(places)
+    there = others >= 0
+    age = np.where(there, places.time[:, None] - places.time[others], np.nan)
+    beside = np.arange(len(age))[:, None] + np.arange(-_BESIDE_IT, _BESIDE_IT + 1)
+    held = np.clip(beside, 0, len(age) - 1)
+    same = (held == beside) & (places.run[held] == places.run[:, None])
+    around = np.sort(np.where(same, age[held, 0], np.nan), axis=1)  # what is not a number comes last
+    count = np.isfinite(around).sum(axis=1)
+    usual = around[np.arange(len(age)), np.maximum(count - 1, 0) // 2]
+    off = np.abs(age - usual[:, None])
+    best = np.argmin(np.where(np.isnan(off), np.inf, off), axis=1)
+    below = others[np.arange(len(age)), best]
+    on = np.flatnonzero((below >= 0) & ~np.isnan(places.time[below]))
+    found, bead = np.full(len(age), np.nan), np.full(len(age), -1)
+    found[on] = places.time[on] - _when(places, on, below[on])
+    bead[on] = places.bead[below[on]]
+    return found, bead
+
+
+def _others(places: LaidPlaces) -> Ints:
+    """Places (k, _NEAREST) that each one may lie on, the nearest first; -1 for none."""
+    out = np.full((len(places.bead), _NEAREST), -1)
+    numbers = np.unique(places.layer)
+    rows = [np.flatnonzero(places.layer == number) for number in numbers]
+    trees = [cKDTree(places.tip[own]) for own in rows]
+    low, high = np.array([tree.mins for tree in trees]), np.array([tree.maxes for tree in trees])
+    for k, own in enumerate(rows):
+        reach = float(np.hypot(_BESIDE * places.width[own], _OFF * places.height[own]).max())
+        left = own[places.sample[own] >= 0]
+        for j in (*range(k - 1, -1, -1), k):
+            if not len(left):
+                break
+            down = places.down[left]
+            if (down.min(axis=0) > high[j] + reach).any() or (down.max(axis=0) < low[j] - reach).any():
+                continue
+            away, near = trees[j].query(down, k=_NEAREST, distance_upper_bound=reach)
+            at, which = np.nonzero(np.isfinite(away) & (away <= away[:, :1] + _AS_NEAR * places.width[left, None]))
+            one, other = left[at], rows[j][near[at, which]]
+            on = _lies_on(places, one, other, _OWN if j == k else _OFF)
+            on &= ~(places.time[other] >= places.time[one])
+            out[one[on], which[on]] = other[on]
+            left = np.setdiff1d(left, one[on])
+    empty = np.argsort(out < 0, axis=1, kind="stable")  # what is found comes first, the nearest before others
+    return np.take_along_axis(out, empty, axis=1)
+
+
+def _lies_on(places: LaidPlaces, one: Ints, other: Ints, off: float) -> Flags:
+    """Whether places (m) lie on others: these are near one height down, and not too far beside."""
+    way = places.tip[other] - places.down[one]
+    rise = (way * places.normal[one]).sum(axis=1)
+    beside = np.linalg.norm(way - rise[:, None] * places.normal[one], axis=1)
+    return np.asarray((np.abs(rise) <= off * places.height[one]) & (beside <= _BESIDE * places.width[other]))
+
+
+def _when(places: LaidPlaces, one: Ints, other: Ints) -> Array:
+    """When (m) [s] the tip passed nearest to what is one height below places, beside the nearest place that is known."""
+    best, when = np.full(len(one), np.inf), np.empty(len(one))
+    for side in (-1, 1):
+        beside = np.clip(other + side, 0, len(places.run) - 1)
+        beside = np.where(places.run[beside] == places.run[other], beside, other)
+        way = places.tip[beside] - places.tip[other]
+        square = np.maximum((way**2).sum(axis=1), 1e-18)
+        share = np.clip(((places.down[one] - places.tip[other]) * way).sum(axis=1) / square, 0.0, 1.0)
+        away = np.linalg.norm(places.tip[other] + share[:, None] * way - places.down[one], axis=1)
+        time = places.time[other] + share * (places.time[beside] - places.time[other])
+        when, best = np.where(away < best, time, when), np.minimum(away, best)
+    return when
+
+
+def _by_sample(judged: Judged, places: LaidPlaces, age: Array) -> Array:
+    """Age (n) by sample: that of the last place before it, not a number in travel."""
+    t = judged.trajectory
+    series = np.full(len(t), np.nan)
+    laid, own = np.flatnonzero(t.deposit), places.sample >= 0
+    last = np.searchsorted(places.sample[own], laid, side="right") - 1
+    here = places.bead[own][last] == t.bead[laid]
+    series[laid] = np.where((last >= 0) & here, age[own][last], np.nan)
+    return series
+
+
+def _check(
+    judged: Judged, places: LaidPlaces, age: Array, below: Ints, known: Ints, asked: float, least: bool
+) -> Check:
+    """The check of the least or the greatest age that is asked for [s], at the place that is worst."""
+    name = "interlayer time at least" if least else "interlayer time at most"
+    dt = judged.trajectory.dt
+    limit = asked - dt if least else asked + dt
+    if not len(known):
+        return Check(name, asked, limit, "s", True, EVERYWHERE, least=least)
+    k = known[int(np.argmin(age[known]) if least else np.argmax(age[known]))]
+    worst = float(age[k])
+    room = DIGITS * limit
+    ok = worst >= limit - room if least else worst <= limit + room
+    sample = int(places.sample[k])
+    where = f"{place(judged.trajectory, sample)}, on bead {below[k]}"
+    missing = age[known] < limit if least else age[known] > limit
+    if not ok:
+        held = np.floor((worst - dt) * 10.0) / 10.0 if least else np.ceil((worst - dt) * 10.0) / 10.0
+        where += (
+            f"; {missing.mean():.1%} of such places are beyond; {'least_s' if least else 'most_s'}: {held:g} is held"
+        )
+    return Check(name, worst, limit, "s", bool(ok), where, least=least, sample=sample)
