@@ -74,6 +74,8 @@ def problem(
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
+        from_arrays=False,
+        as_run=None,
         cell=CellSpec(arm=arm, nozzle=nozzle, home_deg=HOMES[arm], limits=limits, **holder).model_copy(
             update={"arm": KUKA} if arm == "kr6_r900" else {}
         ),
