@@ -41,6 +41,7 @@ class IdentifyCase:
     """A robot, how it is recorded, and whether commands are in the recording.
 
     lag, delay [s] of the servo;  braking: share of the acceleration;  jitter [s]: by which stamps are late, evenly spread
+    mean [s]   of a moving mean that smooths profiles without a limited jerk; the true jerk is acceleration over that
     """
 
     title: str
@@ -53,6 +54,7 @@ class IdentifyCase:
     delay: float = 0.0
     braking: float = 1.0
     jitter: float = 0.0
+    mean: float = 0.0
 
 
 LOGO = ("cylinder_logo", ())
@@ -64,6 +66,8 @@ CASES = (
     IdentifyCase("the same, braking at 0.7", *LOGO, 250.0, 0.01, braking=0.7),
     IdentifyCase("the same, lagging by 20 ms", *LOGO, 250.0, 0.01, lag=0.02),
     IdentifyCase("the same, stamps late by up to 4 ms", *LOGO, 125.0, 0.01, jitter=4e-3),
+    IdentifyCase("the same, smoothing by a mean over 40 ms", *LOGO, 250.0, 0.01, mean=0.04),
+    IdentifyCase("the same, lagging by 15 ms as well", *LOGO, 250.0, 0.01, mean=0.04, lag=0.015),
     IdentifyCase("the same, with its commands", *LOGO, 250.0, 0.01, commands=True, lag=0.015, delay=0.033),
     IdentifyCase("UR10e", "peer_cap", UR, 500.0, 0.01, commands=True, lag=0.004, delay=0.006),
     IdentifyCase("UR10e", "peer_cap", UR, 125.0, 0.01),
@@ -91,6 +95,7 @@ def truth_of(cell: Cell, case: IdentifyCase, seed: int) -> TrueRobot:
         None if case.braking == 1.0 else case.braking * acceleration,
         case.delay,
         case.lag,
+        case.mean,
     )
 
 
@@ -123,7 +128,8 @@ def measure(case: IdentifyCase, seeds: int, folder: Path) -> CaseErrors:
         )
         slower = min(1.0, case.braking)
         for fit in fits:
-            true = (truth.speed, slower * truth.acceleration, truth.jerk)
+            jerk = slower * truth.acceleration / case.mean if case.mean else truth.jerk
+            true = (truth.speed, slower * truth.acceleration, jerk)
             for errors, limit, values in zip(found.limits, fit.limits, true, strict=True):
                 if limit.told:
                     errors.append(limit.value / float(values[fit.joint]) - 1.0)

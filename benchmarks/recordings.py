@@ -24,6 +24,7 @@ class TrueRobot:
     """What a simulated robot really does, for each joint (n): limits [rad, s], those of braking if they are others.
 
     delay, lag   pure delay, and time constant of the servo [s]
+    mean         time [s] of a moving mean that smooths profiles of limited acceleration; 0: the jerk is limited instead
     """
 
     speed: Array
@@ -32,6 +33,7 @@ class TrueRobot:
     braking: Array | None = None
     delay: float = 0.0
     lag: float = 0.0
+    mean: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,8 @@ def commands(asked: AskedMoves, truth: TrueRobot) -> tuple[Array, Array]:
 
 def _moved(start: float, end: float, share: float, truth: TrueRobot, j: int) -> Array:
     """Places (m) of one joint on its way, every FINE."""
+    if truth.mean > 0.0:
+        return _smoothed(start, end, share * float(truth.speed[j]), truth, j)
     given = ruckig.InputParameter(1)
     given.current_position, given.target_position = [start], [end]
     given.max_velocity, given.max_jerk = [share * float(truth.speed[j])], [float(truth.jerk[j])]
@@ -76,6 +80,22 @@ def _moved(start: float, end: float, share: float, truth: TrueRobot, j: int) -> 
     found = ruckig.Trajectory(1)
     ruckig.Ruckig(1).calculate(given, found)
     return np.array([found.at_time(t)[0][0] for t in np.arange(0.0, found.duration, FINE)])
+
+
+def _smoothed(start: float, end: float, speed: float, truth: TrueRobot, j: int) -> Array:
+    """Places (m) of one joint whose speed, a trapezoid, goes through a moving mean, every FINE: summed up, not solved for."""
+    up = float(truth.acceleration[j])
+    down = up if truth.braking is None else float(truth.braking[j])
+    way = abs(end - start)
+    top = min(speed, float(np.sqrt(2.0 * way * up * down / (up + down))))
+    duration = way / top + 0.5 * top / up + 0.5 * top / down
+    step = FINE / 10.0
+    t = np.arange(0.0, duration + truth.mean + 2.0 * FINE, step)
+    trapezoid = np.clip(np.minimum(np.minimum(up * t, top), down * (duration - t)), 0.0, None)
+    sums = np.concatenate([np.zeros(round(truth.mean / step)), np.cumsum(trapezoid) * step])
+    speeds = (sums[round(truth.mean / step) :] - sums[: len(t)]) / truth.mean
+    places = np.append(0.0, np.cumsum(0.5 * (speeds[1:] + speeds[:-1])) * step)
+    return start + (end - start) * (places / places[-1])[::10]
 
 
 def recorded(

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from benchmarks.recordings import Recording, TrueRobot, recorded, write_recording
+from benchmarks.recordings import Recording, TrueRobot, commands, recorded, write_recording
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.cell.cell import Cell, build_cell
 from planner.cell.robot import read_robot
@@ -31,6 +31,7 @@ from planner.feedback.identify_fit import fit_joints
 from planner.feedback.identify_log import RobotLog, column_of, read_log
 from planner.feedback.identify_match import MatchedLog, match
 from planner.feedback.identify_moves import (
+    AskedMove,
     AskedMoves,
     asked_moves,
     free_spaces,
@@ -121,6 +122,28 @@ def test_a_servo_follows_a_profile_as_a_first_order_system(lag: float) -> None:
     told, at = profile.at(t), behind.at(t)
     np.testing.assert_allclose(np.diff(at) / step, (told - at)[1:] / lag, atol=step * 20.0 / lag + 1e-3)
     assert at[-1] == pytest.approx(0.8, rel=1e-2) and behind.at(np.array([-0.1, 0.0])).tolist() == [0.0, 0.0]
+
+
+@given(
+    distance=st.floats(1e-3, 4.0),
+    acceleration=st.floats(1.0, 40.0),
+    braking=st.floats(0.4, 2.0),
+    mean=st.floats(0.004, 0.3),
+)
+def test_a_mean_of_a_trapezoid_is_what_summing_up_gives(
+    distance: float, acceleration: float, braking: float, mean: float
+) -> None:
+    one, limits = np.ones(1), MotionLimits(2.0, acceleration, acceleration / mean, braking * acceleration, 0.0)
+    profile = move_profile(distance, replace(limits, averaged=True))
+    truth = TrueRobot(2.0 * one, acceleration * one, one, braking * acceleration * one, mean=mean)
+    asked = replace(asked_of("peer_cap", joints=()), moves=(AskedMove(0, 0.0, distance, 1.0),), start=np.zeros(1))
+    t, q = commands(asked, truth)
+    begin = float(asked.rests[0])
+    np.testing.assert_allclose(profile.at(t - begin), q[:, 0], atol=2e-3 * distance + 1e-4 * 2.0 * mean)
+    assert profile.total == pytest.approx(t[np.argmax(q[:, 0] > distance - 1e-9)] - begin, abs=0.01)
+    assert profile.states_at(np.array([profile.total]))[0] == pytest.approx([distance, 0.0, 0.0], abs=1e-6)
+    jerks = np.abs(6.0 * profile.coefficients[:, 3])
+    assert jerks[0] == pytest.approx(acceleration / mean) and jerks.max() <= (1.0 + braking) * jerks[0] * 1.0001
 
 
 # What is asked
@@ -403,6 +426,47 @@ def test_a_servo_that_lags_does_not_lower_the_jerk(tmp_path: Path) -> None:
     _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth))
     assert fit.lag == pytest.approx(0.03, abs=5e-4)
     _assert_near(truth, [fit], 0.05)
+
+
+@pytest.mark.slow(keep=("0.04-0.0-250.0",))
+@pytest.mark.parametrize(
+    ("mean", "lag", "rate"), [(0.02, 0.0, 250.0), (0.04, 0.0, 250.0), (0.05, 0.015, 125.0), (0.1, 0.03, 250.0)]
+)
+def test_a_mean_over_a_fixed_time_is_told_from_a_limited_jerk(
+    tmp_path: Path, mean: float, lag: float, rate: float
+) -> None:
+    _, cell = cell_of("cylinder_logo")
+    truth, asked = truth_of(cell, mean=mean, lag=lag), asked_of("cylinder_logo", joints=(3, 6))
+    _, fits = found_in(tmp_path, asked, cell, recorded(asked, truth, rate))
+    for fit in fits:
+        assert fit.averaged is not None and fit.either is None
+        assert fit.averaged[0] == pytest.approx(mean, abs=4.0 * fit.averaged[1] + 1e-4)
+        assert fit.acceleration.value == pytest.approx(truth.acceleration[fit.joint], rel=0.01)
+        assert fit.jerk.value == pytest.approx(truth.acceleration[fit.joint] / mean, rel=0.1, abs=4.0 * fit.jerk.error)
+        assert fit.lag == pytest.approx(lag, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_mean_with_braking_that_differs_gives_the_lesser_jerk(tmp_path: Path) -> None:
+    _, cell = cell_of("cylinder_logo")
+    plain, asked = truth_of(cell, mean=0.06), asked_of("cylinder_logo", joints=(4,))
+    truth = replace(plain, braking=0.7 * plain.acceleration)
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth))
+    assert fit.averaged is not None and fit.averaged[0] == pytest.approx(0.06, rel=0.02)
+    assert fit.acceleration.value == pytest.approx(0.7 * plain.acceleration[4], rel=0.01)
+    assert fit.jerk.value == pytest.approx(0.7 * plain.acceleration[4] / 0.06, rel=0.03)
+
+
+@pytest.mark.slow
+def test_kinds_of_profiles_that_noise_hides_give_the_lesser_jerk(tmp_path: Path) -> None:
+    """Of moves of more than twice the ramps' length both kinds are the same."""
+    _, cell = cell_of("cylinder_logo")
+    truth, asked = truth_of(cell, mean=0.03), asked_of("cylinder_logo", joints=(3,))
+    long = tuple(move for move in asked.moves if abs(move.end - move.start) > 0.9)
+    asked = replace(asked, moves=long, start=np.where(np.arange(7) == 3, long[0].start, asked.start))
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth))
+    assert fit.either is not None and fit.either >= fit.jerk.value
+    assert fit.jerk.value == pytest.approx(truth.acceleration[3] / 0.03, rel=0.1)
 
 
 @pytest.mark.slow
@@ -823,7 +887,6 @@ def test_a_recording_that_tells_nothing_writes_nothing(
 
 @pytest.mark.slow
 def test_the_lag_of_the_simulated_egm_robot_is_found(tmp_path: Path) -> None:
-    from benchmarks.recordings import commands
     from planner.link.egm_wire import egm_wire
     from planner.simulate.egm import PERIOD, TIME_CONSTANT, EgmRobot
 

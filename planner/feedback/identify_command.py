@@ -245,6 +245,17 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
                 out.append(
                     f"{name}: moves differ, {what} {found.spread[0]:.4g} to {found.spread[1]:.4g}; the least is taken"
                 )
+        if fit.averaged is not None:
+            time, error = fit.averaged
+            out.append(
+                f"{name} smooths its profile by a mean over {1e3 * time:.3g} ±{1e3 * error:.2g} ms: from rest it reaches any "
+                "acceleration in that time, and its jerk is one over the other"
+            )
+        if fit.either is not None:
+            out.append(
+                f"{name}: moves do not tell a limited jerk from a mean over a fixed time, with which it would be "
+                f"{fit.either:.4g}; the lesser is taken"
+            )
         if fit.residual > UNEXPLAINED * max(fit.noise, FLOOR):
             left, unit = (1e3 * fit.residual, "mm") if fit.joint in cell.limits.sliding else (
                 float(np.degrees(fit.residual)), "degrees"

@@ -168,6 +168,9 @@ def _changes(
 def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
     """What one joint's moves say, in a line."""
     parts = [f"{what} {_limit_words(found)}" for what, found in zip(QUANTITIES, fit.limits, strict=True)]
+    if fit.averaged is not None:
+        time, error = fit.averaged
+        parts.append(f"smoothed by a mean over {1e3 * time:.3g} ({1e3 * error:.2g}) ms, jerk is acceleration over that")
     if delay is not None:
         parts.append(
             f"follows {1e3 * delay.total:.1f} ms late: delay {1e3 * delay.delay:.1f} ({1e3 * delay.delay_error:.1f}) ms, "
