@@ -23,12 +23,10 @@ from rich.table import Table
 from benchmarks.recordings import TrueRobot, recorded, write_recording
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
-from planner.feedback.identify_delay import fit_delay
-from planner.feedback.identify_fit import QUANTITIES, fit_joints
+from planner.feedback.identify_fit import QUANTITIES, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
-from planner.feedback.identify_moves import AskedMoves, asked_moves, free_spaces, greatest_lengths
-from planner.feedback.identify_program import counting
+from planner.feedback.identify_program import AskedMoves, asked_moves, counting, free_spaces, greatest_lengths
 from planner.problem import load_problem
 
 COLUMNS = ("robot", "samples/s", "noise °", "recorded", *(f"{what}: median, worst %" for what in QUANTITIES), "not told",

@@ -11,7 +11,10 @@ import ruckig
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from planner.feedback.identify_moves import AskedMoves
+from planner.export.player.model import MotionModel
+from planner.export.player.played import Played
+from planner.export.program import RobotProgram
+from planner.feedback.identify_program import AskedMoves
 
 Array = NDArray[np.float64]
 
@@ -113,6 +116,59 @@ def recorded(
     executed = np.column_stack([np.interp(time - truth.delay, fine, column) for column in done.T])
     commanded = np.column_stack([np.interp(time, fine, column) for column in told.T])
     return Recording(time, executed + random.normal(0.0, 1.0, executed.shape) * noise, commanded, asked.joint_names)
+
+
+def executed_run(
+    program: RobotProgram,
+    played: Played,
+    model: MotionModel,
+    rate: float = 250.0,
+    noise: float = np.radians(0.01),
+    seed: int = 1,
+) -> tuple[Array, Array]:
+    """Time (m) [s] and joints (m, n) [rad, m] of an arm that runs a program as a model of its controller has it.
+
+    Zones are passed on their parabolas, as much of them as the model cuts; then the arm follows with its lag, which weighs
+    what was commanded before and after by exp(-|dt| / lag). It rests before and behind.
+    """
+    tick = 1e-3
+    t = np.arange(-1.0, played.duration + 1.0, tick)
+    q = played.at(t).q
+    steps = np.linalg.norm(np.diff(played.position, axis=0), axis=1)
+    way = np.append(0.0, np.cumsum(steps))
+    at = way[played.target]
+    for i in range(len(at) - 1):
+        before, after = at[i] - (at[i - 1] if i else 0.0), at[i + 1] - at[i]
+        reach = min(float(program.zone[i]), 0.5 * before, 0.5 * after)
+        if program.fine[i] or not reach > 0.0:
+            continue
+        ends = np.array([at[i] - reach, at[i] + reach])
+        k = np.clip(np.searchsorted(way, ends, side="right") - 1, 0, len(steps) - 1)
+        since, until = played.reached(k, (ends - way[k]) / np.where(steps[k] > 0.0, steps[k], 1.0))
+        a, b = played.at(np.array([since, until])).q
+        own = np.flatnonzero((t > since) & (t < until))
+        # shares of the way, not of time: a parabola whatever the speed
+        times, ways = _gone(played, since, until)
+        gone, whole = np.interp(t[own], times, ways), float(ways[-1])
+        u = (gone / max(whole, 1e-12))[:, None]
+        parabola = (1.0 - u) ** 2 * a + 2.0 * u * (1.0 - u) * played.q[played.target[i]] + u**2 * b
+        q[own] += model.depth * (parabola - q[own])
+    if model.lag > 0.0:
+        keep = np.exp(-tick / model.lag)
+        first = q[0]
+        for _ in range(2):
+            q = (first + lfilter([1.0 - keep], [1.0, -keep], q - first, axis=0))[::-1]
+            first = q[0]
+    time = np.arange(t[0], t[-1], 1.0 / rate)
+    out = np.column_stack([np.interp(time, t, column) for column in q.T])
+    return time - time[0], out + np.random.default_rng(seed).normal(0.0, 1.0, out.shape) * noise
+
+
+def _gone(played: Played, since: float, until: float) -> tuple[Array, Array]:
+    """Times (m) [s] between two, and the tip's way (m) [m] since the first."""
+    t = np.linspace(since, until, 200)
+    way = np.linalg.norm(np.diff(played.at(t).position, axis=0), axis=1)
+    return t, np.append(0.0, np.cumsum(way))
 
 
 def write_recording(

@@ -26,21 +26,24 @@ from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.joint_trajectory import at_times, read_joint_trajectory
 from planner.export.krl import from_kuka
 from planner.feedback.identify_command import main
-from planner.feedback.identify_delay import fit_delay
-from planner.feedback.identify_fit import fit_joints
+from planner.feedback.identify_fit import fit_delay, fit_joints
 from planner.feedback.identify_log import RobotLog, column_of, read_log
 from planner.feedback.identify_match import MatchedLog, match
-from planner.feedback.identify_moves import (
+from planner.feedback.identify_profile import MotionLimits, move_profile
+from planner.feedback.identify_program import (
     AskedMove,
     AskedMoves,
     asked_moves,
+    asked_text,
+    counting,
     free_spaces,
     greatest_lengths,
+    language_of,
     moves_enough,
+    program_files,
+    read_asked,
     start_posture,
 )
-from planner.feedback.identify_profile import MotionLimits, move_profile
-from planner.feedback.identify_program import asked_text, counting, language_of, program_files, read_asked
 from planner.feedback.identify_robot_file import robots_of, write_measured
 from planner.problem import Problem, load_problem
 
@@ -128,7 +131,7 @@ def test_a_servo_follows_a_profile_as_a_first_order_system(lag: float) -> None:
     distance=st.floats(1e-3, 4.0),
     acceleration=st.floats(1.0, 40.0),
     braking=st.floats(0.4, 2.0),
-    mean=st.floats(0.004, 0.3),
+    mean=st.integers(4, 300).map(lambda ms: 1e-3 * ms),
 )
 def test_a_mean_of_a_trapezoid_is_what_summing_up_gives(
     distance: float, acceleration: float, braking: float, mean: float
@@ -139,7 +142,7 @@ def test_a_mean_of_a_trapezoid_is_what_summing_up_gives(
     asked = replace(asked_of("peer_cap", joints=()), moves=(AskedMove(0, 0.0, distance, 1.0),), start=np.zeros(1))
     t, q = commands(asked, truth)
     begin = float(asked.rests[0])
-    np.testing.assert_allclose(profile.at(t - begin), q[:, 0], atol=2e-3 * distance + 1e-4 * 2.0 * mean)
+    np.testing.assert_allclose(profile.at(t - begin), q[:, 0], atol=5e-3 * distance)
     assert profile.total == pytest.approx(t[np.argmax(q[:, 0] > distance - 1e-9)] - begin, abs=0.01)
     assert profile.states_at(np.array([profile.total]))[0] == pytest.approx([distance, 0.0, 0.0], abs=1e-6)
     jerks = np.abs(6.0 * profile.coefficients[:, 3])

@@ -19,31 +19,30 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, ne
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
-from planner.feedback.identify_delay import JointDelay, fit_delay
-from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointFit, fit_joints
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
-from planner.feedback.identify_moves import (
-    AskedMoves,
-    FreeSpace,
-    asked_moves,
-    free_spaces,
-    greatest_lengths,
-    moves_enough,
-    start_posture,
-)
+from planner.feedback.identify_path import findings
 from planner.feedback.identify_profile import move_profile
 from planner.feedback.identify_program import (
     TEST_LANGUAGES,
+    AskedMoves,
+    FreeSpace,
     asked_limits,
+    asked_moves,
     asked_name,
     asked_text,
     counting,
+    free_spaces,
+    greatest_lengths,
     language_of,
+    moves_enough,
     program_files,
     read_asked,
+    start_posture,
 )
 from planner.feedback.identify_robot_file import check_targets, robots_of, usable, write_measured
+from planner.feedback.identify_run import path_lines, planned_run, recorded_run
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 
@@ -156,6 +155,7 @@ def identify_read_command() -> Command:
         "write them into copies of the robots' files.",
         {
             "run.csv cylinder_logo": "writes irb140_measured.yaml and irbp_a250_measured.yaml here",
+            "run.csv my_part.yaml --plan out/my_part": "how the robot followed the program of a plan",
             'run.csv my_part.yaml --columns "t_ms, J1_deg, J2_deg, J3_deg, J4_deg, J5_deg, J6_deg"': "a file without a header",
         },
         {
@@ -176,6 +176,11 @@ def identify_read_command() -> Command:
     parser.add_argument(
         "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
     )
+    parser.add_argument(
+        "--plan",
+        metavar="PLAN",
+        help="the recording is of this plan's own program, not of a test program: a folder of results, or a saved plan",
+    )
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder of the copies (default: here)")
     return parser
 
@@ -183,6 +188,8 @@ def identify_read_command() -> Command:
 def _read(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     cell = build_cell(problem)
+    if options.plan is not None:
+        return _read_run(options, problem, cell)
     robots = robots_of(problem, cell)
     check_targets(robots, options.out)
     asked = read_asked(_asked_path(options, problem), problem, cell)
@@ -198,6 +205,15 @@ def _read(options: argparse.Namespace) -> int:
         return EXIT_NOT_VERIFIED
     written = write_measured(robots, fits, delays, options.log, options.out)
     print("\n".join([*map(str, written), "name them in the problem: cell.arm, cell.positioner.robot, cell.base.robot"]))
+    return EXIT_VERIFIED
+
+
+def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
+    """How a plan's program was followed."""
+    run = planned_run(options.plan, problem, cell)
+    recorded = recorded_run(read_log(options.log, cell, options.columns), run, cell)
+    found = findings(run.path, recorded.followed)
+    print("\n".join([*recorded.remarks, f"set beside {run.words}", *path_lines(found, recorded, cell)]))
     return EXIT_VERIFIED
 
 
