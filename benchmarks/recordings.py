@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from planner.export.player.model import MotionModel
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
+from planner.feedback.identify_extruder import FlowLine, width_of
 from planner.feedback.identify_program import AskedMoves
 
 Array = NDArray[np.float64]
@@ -178,4 +179,41 @@ def write_recording(
     columns = [recording.executed * scale, *([recording.commanded * scale] if commanded else [])]
     table = np.column_stack([recording.time, *columns])
     np.savetxt(path, table, fmt="%.7f", delimiter=",", header=",".join(head), comments="")
+    return path
+
+
+def line_table(
+    path: Path,
+    line: FlowLine,
+    lag: float,
+    flow: float,
+    density: float | None = None,
+    noise: float = 0.0,
+    seed: int = 1,
+    zero: float = 0.0,
+) -> Path:
+    """The table of a test line, whose flow follows the motor with a lag [s] and is a share of what was asked.
+
+    Masses of segments of 5 mm with a density [kg/m³], else a width every millimetre; noise: standard deviation [kg, m];
+    zero: of the ruler behind the line's beginning [m]. Flow is stepped through, not solved for.
+    """
+    step = 2e-6
+    s = np.arange(0.0, line.length + step, step)
+    wanted = line.area[np.minimum(np.searchsorted(line.ends, s, side="right") - 1, len(line.area) - 1)]
+    keep = np.exp(-step / (line.speed * lag)) if lag > 0.0 else 0.0
+    area = flow * lfilter([1.0 - keep], [1.0, -keep], wanted)
+    random = np.random.default_rng(seed)
+    if density is not None:
+        cuts = np.arange(0.0, line.length + 1e-6, 5e-3)
+        total = np.append(0.0, np.cumsum(area) * step)
+        masses = density * np.diff(np.interp(cuts + zero, np.append(0.0, s + step), total))
+        masses = np.maximum(masses + random.normal(0.0, 1.0, len(masses)) * noise, 0.0)
+        rows = np.column_stack([1e3 * cuts[:-1], 1e3 * cuts[1:], 1e6 * masses])
+        head = "from_mm,to_mm,mass_mg"
+    else:
+        at = np.arange(0.5e-3, line.length - zero, 1e-3)
+        widths = width_of(np.interp(at + zero, s, area), line.height, line.rounded)
+        widths = widths + random.normal(0.0, 1.0, len(widths)) * noise
+        rows, head = np.column_stack([1e3 * at, 1e3 * widths]), "s_mm,width_mm"
+    np.savetxt(path, rows, fmt="%.9g", delimiter=",", header=head, comments="")
     return path

@@ -19,6 +19,12 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, ne
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
+from planner.feedback.identify_extruder import (
+    extruder_read_command,
+    extruder_write_command,
+    read_line,
+    write_line,
+)
 from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
@@ -54,22 +60,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     say = partial(print, file=sys.stderr)
-    actions: dict[str, tuple[Callable[[], Command], Callable[[argparse.Namespace], int]]] = {
-        "write": (identify_write_command, _write),
-        "read": (identify_read_command, _read),
-    }
-    if given[:1] and given[0] in actions:
-        parser, run = actions[given[0]]
-        options = parser().parse_args(given[1:])
+    words = " ".join(given[:2]) if given[:1] == ["extruder"] else "".join(given[:1])
+    if words in ACTIONS:
+        parser, run = ACTIONS[words]
+        options = parser().parse_args(given[len(words.split()) :])
         return exit_code(lambda: run(options), say)
-    helps = bool(given) and given[0] in ("-h", "--help")
-    words = "\n".join(f"  {name:<6} {make().description}" for name, (make, _) in actions.items())
-    if helps:
-        print(f"usage: beadwise identify write|read …\n\n{words}\n\nbeadwise identify write --help tells more.")
+    about = "\n".join(f"  {name:<15} {make().description}" for name, (make, _) in ACTIONS.items())
+    if given and given[-1] in ("-h", "--help"):
+        print(
+            f"usage: beadwise identify {'|'.join(ACTIONS)} …\n\n{about}\n\nbeadwise identify write --help tells more."
+        )
         return EXIT_VERIFIED
-    near = nearest_name(given[0], actions) if given else None
+    near = nearest_name(words, ACTIONS) if given else None
     hint = f" (did you mean {near}?)" if near else ""
-    say(f"error: say whether to write a test program, or to read its recording{hint}\n{words}")
+    say(f"error: say whether to write a test program, or to read its recording{hint}\n{about}")
     return EXIT_INPUT
 
 
@@ -331,3 +335,11 @@ def _lengths(text: str) -> tuple[float, ...]:
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
+
+
+ACTIONS: dict[str, tuple[Callable[[], Command], Callable[[argparse.Namespace], int]]] = {
+    "write": (identify_write_command, _write),
+    "read": (identify_read_command, _read),
+    "extruder write": (extruder_write_command, write_line),
+    "extruder read": (extruder_read_command, read_line),
+}
