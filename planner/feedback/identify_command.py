@@ -169,7 +169,9 @@ def identify_read_command() -> Command:
             130: "interrupted",
         },
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, see the page")
+    parser.add_argument(
+        "log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, or a bag of ROS, see the page"
+    )
     _add_cell(parser)
     parser.add_argument(
         "--asked",
@@ -180,6 +182,7 @@ def identify_read_command() -> Command:
     parser.add_argument(
         "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
     )
+    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
     parser.add_argument(
         "--plan",
         metavar="PLAN",
@@ -197,7 +200,7 @@ def _read(options: argparse.Namespace) -> int:
     robots = robots_of(problem, cell)
     check_targets(robots, options.out)
     asked = read_asked(_asked_path(options, problem), problem, cell)
-    log = match(read_log(options.log, cell, options.columns), asked)
+    log = match(read_log(options.log, cell, options.columns, options.topic), asked)
     limits = cell.limits
     log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
     delays = {fit.joint: delay for fit in fits if (delay := fit_delay(log, asked, fit.joint)) is not None}
@@ -215,7 +218,7 @@ def _read(options: argparse.Namespace) -> int:
 def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
     """How a plan's program was followed."""
     run = planned_run(options.plan, problem, cell)
-    recorded = recorded_run(read_log(options.log, cell, options.columns), run, cell)
+    recorded = recorded_run(read_log(options.log, cell, options.columns, options.topic), run, cell)
     found = findings(run.path, recorded.followed)
     print("\n".join([*recorded.remarks, f"set beside {run.words}", *path_lines(found, recorded, cell)]))
     return EXIT_VERIFIED

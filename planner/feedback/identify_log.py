@@ -1,4 +1,4 @@
-"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them."""
+"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them, and bags of ROS."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 from planner.cell.cell import Cell
+from planner.feedback.identify_bag import BagTable, is_bag, read_bag
 
 LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
 LEAST_SAMPLES = 50
@@ -87,12 +88,16 @@ class LogColumn:
     external: bool = False
 
 
-def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> RobotLog:
+def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic: str | None = None) -> RobotLog:
     """Read a recording of this cell's joints.
 
     columns   names of the columns, of a file without a header; others than those of times and joints are not read
-    Raises InputError with file, line and column for whatever cannot be read, and for a clock that does not run on.
+    topic     of the executed joints in a bag of ROS, where it has several
+    Raises InputError with file, line (in a bag the number of a message) and column for whatever cannot be read, and for a
+    clock that does not run on.
     """
+    if is_bag(file):
+        return _of_bag(file, read_bag(file, cell, topic), cell)
     lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
@@ -112,6 +117,14 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> Ro
     table = _numbers(file, rows, separator, [*clocks, *places.values()])
     numbers = np.array([i for i, _ in rows], dtype=np.int64)
     return _running_on(_log(file, numbers, table, clocks, places))
+
+
+def _of_bag(file: Path, bag: BagTable, cell: Cell) -> RobotLog:
+    clocks, places = _wanted(bag.names, cell, partial(InputError, file=file))
+    if len(bag.numbers) < LEAST_SAMPLES:
+        raise InputError(f"holds {len(bag.numbers)} samples", file=file, hint=f"at least {LEAST_SAMPLES}")
+    columns = [*clocks, *places.values()]
+    return _running_on(_log(file, bag.messages, bag.numbers[:, [column.k for column in columns]], clocks, places))
 
 
 def _log(
