@@ -687,6 +687,23 @@ def _spoilt(change: str) -> tuple[str, str]:
     if change == "milliseconds":
         table[:, 0] *= 1e3
         return _text(head.replace("t_s", "time"), table), "goes on by 4 s from sample to sample"
+    if change == "seconds":
+        return _text(head.replace("t_s", "t_ms"), table), "goes on by 4e-06 s"
+    if change == "microseconds":
+        table[:, 0] *= 1e6
+        return _text(head.replace("t_s", "timestamp"), table), "goes on by 4000 s"
+    if change == "clock set":
+        # at a new second of another clock in the middle of a move, as when a controller's is set
+        table[moved:, 0] += 0.08
+        return _text(head, table), "samples are missing, or the clock jumped"
+    if change == "twice over":
+        return _text(head, np.concatenate([table, table])), "the clock runs back"
+    if change == "turns":
+        table[:, 1:] = q / 360.0
+        return _text(head, table), "another program|never rest|was asked to"
+    if change == "all shifted":
+        table[:, 1:] = np.roll(q, 1, axis=1)
+        return _text(head, table), "columns are in another order"
     if change == "sparse":
         return _text(head, table[::5]), "too few samples: one every 20 ms"
     if change == "short":
@@ -726,8 +743,42 @@ def _spoilt(change: str) -> tuple[str, str]:
 SPOILT = (
     "radians", "degrees", "order", "turned", "zero", "gap", "jump", "back", "still", "milliseconds", "sparse", "short", "cut",
     "program", "elsewhere", "stray", "no time", "no joint", "twice", "commands only", "no header", "words", "columns", "nan",
-    "comma", "empty",
+    "comma", "empty", "seconds", "microseconds", "clock set", "twice over", "turns", "all shifted",
 )  # fmt: skip
+
+
+OTHER_KINDS = {
+    "cloud.xyz": ("1 2 3\n4 5 6\n", "looks like a cloud of points"),
+    "cloud.ply": ("ply\nformat ascii 1.0\n", "looks like a cloud of points"),
+    "cloud.csv": ("x,y,z\n1,2,3\n", "looks like a cloud of points"),
+    "named.csv": ("X [mm];Y [mm];Z [mm];intensity\n1;2;3;4\n", "looks like a cloud of points"),
+    "bare.txt": ("1.5 2 3\n" * 60, "looks like a cloud of points"),
+    "normals.txt": ("1.5 2 3 0 0.6 0.8\n" * 60, "looks like a cloud of points.*: with normals"),
+    "scan.pcd": ("# .PCD v0.7\nFIELDS x y z\n", "looks like a cloud of points"),
+    "part.stl": ("solid part\n", "is a mesh"),
+    "program.mod": ("MODULE x\n", "is a program"),
+    "plan.json": ("{}", "is no table"),
+    "trajectory.csv": ("t_s,bead,layer,deposit,joint_1\n0,0,0,0,0\n", "is the trajectory of a plan"),
+    "joints.txt": ("1.5 2 3 0 0.6 0.9\n" * 60, "a header that names the columns is missing"),
+    "none.csv": (None, r"there is no file .*none.csv"),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_KINDS)
+def test_a_file_of_another_kind_is_told(tmp_path: Path, name: str) -> None:
+    text, said = OTHER_KINDS[name]
+    if text is not None:
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        read_log(tmp_path / name, cell_of("peer_cap")[1])
+
+
+@pytest.mark.parametrize("name", ["cloud.npy", "cloud.npz"])
+def test_a_cloud_in_an_array_is_told(tmp_path: Path, name: str) -> None:
+    points = np.zeros((30, 3))
+    (np.save if name.endswith("npy") else np.savez)(tmp_path / name, points)
+    with pytest.raises(InputError, match="looks like a cloud of points"):
+        read_log(tmp_path / name, cell_of("peer_cap")[1])
 
 
 @pytest.mark.parametrize("change", SPOILT)
