@@ -3,6 +3,7 @@ runs refused."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -13,7 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, executed_run, write_recording
-from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, OutputError
+from planner.cell.robot import read_robot
+from planner.export.controllers import CONTROLLERS
 from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
@@ -27,8 +30,10 @@ from planner.feedback.identify_path import (
     path_of_program,
     path_of_samples,
 )
+from planner.feedback.identify_robot_file import robots_of, write_controller
 from planner.feedback.identify_run import PlannedRun, planned_run, recorded_run
 from planner.plan import Plan
+from planner.plan.seal import sealed
 from planner.planning.pipeline import write
 from tests.solved import small_plan
 from tests.test_player import CELL, program_through
@@ -317,3 +322,39 @@ def test_a_path_of_samples_has_no_corners():
     path = path_of_samples(plan.q, plan.cell)
     found = findings(path, follow(path, t[200:], q[200:], plan.cell))
     assert found.corners == () and found.laid is None and not found.ahead.told
+
+
+# ---- what forecasts use -------------------------------------------------------------------------------------------
+
+
+def test_what_a_controller_does_is_written_and_forecasts_use_it(tmp_path: Path):
+    plan, _, _ = planned()
+    (arm, _) = robots_of(plan.problem, plan.cell)
+    found = findings(*run_of(ZIGZAG, replace(ABB, lag=0.03), speed=0.1, zone=ZONES))
+    source = tmp_path / "run.csv"
+    source.write_text("t_s\n")
+    file = write_controller(arm, found, ["lag: some"], source, tmp_path / "mine")
+    text, robot = file.read_text(encoding="utf-8"), read_robot(file)
+    assert text.startswith("# Its controller, measured by `beadwise identify` from run.csv") and "# lag: some" in text
+    assert robot.measured == "controller from run.csv"
+    held = dict(robot.controller)
+    assert held["lag"] == pytest.approx(0.03, abs=4e-3) and held["depth"] == pytest.approx(ABB.depth, rel=0.15)
+    usual = CONTROLLERS["krl"]
+    own = usual.measured(robot.controller)
+    assert own.motion.lag == held["lag"] and own.motion.move_time == usual.motion.move_time
+    assert "lag" not in own.motion.assumed and "move_time" in own.motion.assumed
+    assert usual.measured(()) is usual and usual.measured((("ahead_moves", 4.0),)).motion.ahead_moves == 4
+    with pytest.raises(OutputError, match="cannot write"):
+        write_controller(arm, found, [], source, tmp_path / "mine")
+
+
+@pytest.mark.slow
+def test_a_measured_lag_is_in_the_forecast(tmp_path: Path):
+    plan, _, _ = planned()
+    arm = replace(plan.cell.arm_robot, controller=(("lag", 0.06),))
+    late = sealed(replace(plan, cell=replace(plan.cell, arm_robot=arm)))
+    off = []
+    for k, each in enumerate((plan, late)):
+        write(each, tmp_path / str(k))
+        off.append(json.loads((tmp_path / str(k) / "forecast.json").read_text())["forecasts"]["rapid"]["off_mm"])
+    assert off[1] > 1.5 * off[0]

@@ -79,7 +79,8 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
             raise ProgramDiffers(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
         if name in CONTROLLERS:
-            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, CONTROLLERS[name])
+            controller = CONTROLLERS[name].measured(plan.cell.arm_robot.controller)
+            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, controller)
     if foretold:
         _write_text(folder / FORECAST, forecast_json(foretold))
     return tuple(_write_text(folder / name, text) for name, text in texts.items())

@@ -47,7 +47,14 @@ from planner.feedback.identify_program import (
     read_asked,
     start_posture,
 )
-from planner.feedback.identify_robot_file import check_targets, robots_of, usable, write_measured
+from planner.feedback.identify_robot_file import (
+    check_targets,
+    controller_values,
+    robots_of,
+    usable,
+    write_controller,
+    write_measured,
+)
 from planner.feedback.identify_run import path_lines, planned_run, recorded_run
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
@@ -217,10 +224,18 @@ def _read(options: argparse.Namespace) -> int:
 
 def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
     """How a plan's program was followed."""
+    arm = robots_of(problem, cell)[0]
+    check_targets([arm], options.out)
     run = planned_run(options.plan, problem, cell)
     recorded = recorded_run(read_log(options.log, cell, options.columns, options.topic), run, cell)
     found = findings(run.path, recorded.followed)
-    print("\n".join([*recorded.remarks, f"set beside {run.words}", *path_lines(found, recorded, cell)]))
+    lines = path_lines(found, recorded, cell)
+    print("\n".join([*recorded.remarks, f"set beside {run.words}", *lines]))
+    if not controller_values(found):
+        print("nothing is told that forecasts use: no robot's file written")
+        return EXIT_VERIFIED
+    about = [line for line in lines if not line.startswith("  ")]
+    print(f"{write_controller(arm, found, about, options.log, options.out)}\nname it in the problem: cell.arm")
     return EXIT_VERIFIED
 
 
