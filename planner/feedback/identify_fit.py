@@ -41,6 +41,7 @@ PLATEAU = 0.15  # of the time in which an acceleration is reached that it is hel
 BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
 MOST_STEPS = 60  # of a search
 FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
+COARSE = 1e-5  # likewise, while models are compared: by far less than what one must be better by
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
 EVIDENT = 10.0  # by which the criteria of two kinds of profile differ at least where one of them is told
@@ -240,6 +241,7 @@ def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple
     moves = samples_of(log, asked, joint, commanded)
     noise = FLOOR if commanded else max(float(log.noise[joint]), FLOOR)
     kinds = _solve_all(moves, noise, first_guess, lags=not commanded)
+    kinds = tuple(_solve(each.model, moves, noise, each.shared, each.instants) for each in kinds)
     solved, other = sorted(kinds, key=lambda each: each.criterion)
     evident, own = other.criterion - solved.criterion > EVIDENT, None
     if solved.differ:
@@ -277,21 +279,21 @@ def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) 
 
 def _solve_all(
     moves: Sequence[MoveSamples], noise: float, first_guess: tuple[float, float, float], lags: bool
-) -> tuple[_Solved, _Solved]:
+) -> tuple[_Solved, ...]:
     """The best models: of limited jerk, and of a mean."""
     shares = sorted({move.share for move in moves}, reverse=True)
     speeds = np.log([_quickest(moves, share) for share in shares])
     instants = np.array([_half_way(move) for move in moves])
     start = _start(moves, noise, speeds, instants, first_guess)
-    plain = _solve(PLAIN, moves, noise, start, instants)
+    plain = _solve(PLAIN, moves, noise, start, instants, COARSE)
     levels = len(shares)
     tops = [_profile(PLAIN, plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
     if not any(_reached(profile)[1] for profile in tops):
         # an acceleration that no move reaches changes nothing, so the search cannot leave it: begin below what is reached
         again = plain.shared.copy()
         again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
-        plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants), key=lambda each: each.criterion)
-    mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants)
+        plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants, COARSE), key=lambda each: each.criterion)
+    mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants, COARSE)
     return _extended(plain, moves, noise, lags), _extended(mean, moves, noise, lags)
 
 
@@ -324,7 +326,7 @@ def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: f
             # a lag that was not modelled has been taken for a lesser jerk
             own[1::2] = [value + np.log(2.0) for value in own[1::2]]
         last = [] if not model.lag else [rest[-1] if lag is None else np.log(lag)]
-        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants))
+        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants, COARSE))
     return min(found, key=lambda each: each.criterion)
 
 
@@ -381,7 +383,9 @@ def _off(model: _Model, shared: Array, levels: int, move: MoveSamples, level: in
     return profile.at(move.time - (at - 0.5 * profile.total - profile.lag)) - move.way
 
 
-def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array) -> _Solved:
+def _solve(
+    model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array, fine: float = FINE
+) -> _Solved:
     level, levels = _levels(moves), len(start) - model.size
     begins = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum([len(move.time) for move in moves])])
     n, count = len(start), int(begins[-1])
@@ -396,18 +400,20 @@ def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Arr
     def slopes(x: Array) -> Array:
         out = np.zeros((count + n, len(x)))
         here = residuals(x)
-        for i in range(n):
-            step = x.copy()
-            step[i] += STEP
-            out[:, i] = (residuals(step) - here) / STEP
+        out[count:, :n] = np.eye(n) / VAGUE
         for k, (move, own) in enumerate(zip(moves, level, strict=True)):
             part = slice(begins[k], begins[k + 1])
+            # of the speeds a move has only its own
+            for i in (own, *range(levels, n)):
+                step = x[:n].copy()
+                step[i] += STEP
+                out[part, i] = (_off(model, step, levels, move, own, x[n + k]) / noise - here[part]) / STEP
             later = _off(model, x[:n], levels, move, own, x[n + k] + INSTANT) / noise
             out[part, n + k] = (later - here[part]) / INSTANT
         return out
 
     found = least_squares(
-        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=fine, xtol=fine
     )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1)) * _repeated(found.fun[:count])
