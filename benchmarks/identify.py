@@ -6,7 +6,7 @@ Each robot moves as its test program asks, its true limits drawn anew for each s
 acceleration 0.5 to 1.5, jerk 0.25 to 0.8, servo lag and delay as named. `worst` is over all joints and seeds, of limits
 that are told; `not told` counts those that the recording does not show, such as a speed that is not reached.
 
-A second table has controllers that follow a program: an IRB 6640's tip along corners with zones of 0.5, 2 and 5 mm, and
+A second table has controllers that follow a program: an IRB 140's tip along corners with zones of 0.5, 2 and 5 mm, and
 along lines of short moves to and fro. A third has extruders, whose test line is weighed or looked at.
 """
 
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.controller import cell_of_recordings, program_of
+from benchmarks.controller import program_of
 from benchmarks.recordings import TrueRobot, executed_run, line_table, recorded, write_recording
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
@@ -203,7 +203,7 @@ def followed(
     model: MotionModel, speed: float, points: Array, zone: Array | float, rests: Sequence[int]
 ) -> PathFindings:
     """What a recording of an arm of a model shows, along points (m, 3) from where it stands [m]."""
-    cell = cell_of_recordings()
+    cell = build_cell(load_problem("planar_gcode"))
     home = np.tile(cell.home, (len(points) + 1, 1))
     position = cell.T_part_nozzle(home[:1])[0, :3, 3] + np.vstack([np.zeros(3), points])
     program = program_of(cell, home, position, speed, zone, rests)
@@ -231,7 +231,13 @@ def path_row(model: MotionModel, speed: float) -> list[str]:
         f"{1e3 * model.lag:.1f}, {1e3 * lag.value:.1f} ±{1e3 * lag.error:.1f}" if lag.told else "not shown",
         brakes or "not shown",
         f"{model.ahead_moves}, "
-        + (f"{ahead.value:.1f} ±{ahead.error:.1f}" if ahead.told else f"at least {ahead.value:.0f}"),
+        + (
+            f"{ahead.value:.1f} ±{ahead.error:.1f}"
+            if ahead.told
+            else f"at least {ahead.value:.0f}"
+            if ahead.reason == "at least"
+            else "not shown"
+        ),
     ]
 
 

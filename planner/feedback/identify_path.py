@@ -33,9 +33,11 @@ SIDES = 1e-3  # m that lines have at least on both sides of a corner
 REST = 0.02  # of the greatest speed, below which the tip rests
 CORNER_TICK = 1e-3  # s between instants at which a corner is modelled
 CORNER_SPAN = 0.15  # s before and behind it: some times the lag of any arm
+CLEAR_CUT = 6.0  # times the noise, from which cuts tell the lag
 LEFT = 0.05  # of a cut, from which on the line is left
 LEAST_SAMPLES = 8  # near a corner
 MODEL = 0.05  # of a cut: no controller has just parabolas and a lag
+TRUE = 0.1  # of lag and share: how the speed changes within a corner is not seen, and shifts them
 MEAN_SHOWN, MOST_SHOWN = 0.5, 5.5  # times the noise: noise alone has no mean, and hardly ever a greatest one like that
 SHOWN = 0.25  # standard error over value up to which a parameter is told
 LEAST_CORNERS = 4
@@ -44,6 +46,9 @@ STOP_SPAN = (-0.5, 0.2)  # s around a stop within which it is looked at
 STOP_NEAR = 3e-4  # m from a target, within which the robot rests at it
 STOP_UNITS = np.array([1.0, 1.0, 1e-3])  # of speed, instant and ramp in a search [m/s, s, s]
 MOST_LAG, LAG_STEP = 0.05, 2e-3  # s of a lag that is looked for, and by which it is varied
+CLEAR_SPEED = 15.0  # times its noise, from which a speed is known well enough for its stop
+SAME_SPEED = 0.15  # by which a stop's fitted speed may be off the one before it
+SHORTEST_RAMP = 5e-3  # s
 MOST_STOPS = 12  # that are fitted
 ALIKE_SPEED = 1.1  # times, by which speeds of stops differ that are told together
 NO_STOP = "it never stops from a steady speed"
@@ -78,6 +83,7 @@ class FollowedPath(ReadOnlyArrays):
     """Recorded samples (s) set beside the commanded path.
 
     time (s) [s];  segment, share (s): between which postures, and where between them
+    tip (s, 3)     where it was in the part frame, smoothed [m]
     off (s, 3)     tip from the nearest place of the path [m], smoothed; joints (s, n): likewise [rad, m]
     noise          standard deviation of `off` along one axis [m]; joint_noise (n): of `joints`
     way (s)        metres of the tip's path behind it;  speed (s) along it, speed_noise: its standard deviation [m/s]
@@ -86,6 +92,7 @@ class FollowedPath(ReadOnlyArrays):
     time: Array
     segment: Indices
     share: Array
+    tip: Array
     off: Array
     joints: Array
     noise: float
@@ -220,6 +227,7 @@ def follow(path: CommandedPath, time: Array, q: Array, cell: Cell) -> FollowedPa
         time=time,
         segment=segment,
         share=share,
+        tip=_smooth(tip, window),
         off=_smooth(off, window),
         joints=_smooth(q - told, window),
         noise=float(left * noise),
@@ -397,6 +405,7 @@ class _PassedCorner:
             # as `planner.export.player.path` has it: what was commanded before and after counts by exp(-|dt| / lag)
             keep = float(np.exp(-CORNER_TICK / lag))
             places = _followed(_followed(places, keep)[::-1], keep)
+        places = _smooth(places, _odd(DEVIATION_SPAN / CORNER_TICK))  # as recorded ones are
         return float(np.linalg.norm(places, axis=1).min())
 
 
@@ -412,8 +421,6 @@ def _corners(path: CommandedPath, followed: FollowedPath) -> list[_PassedCorner]
     """All targets with a zone at which the direction changes between two lines."""
     steps = np.diff(path.tip, axis=0)
     way, at = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1))), _ways(path)
-    # the executed tip without noise: the path, and how far it is off there
-    tip = path.tip[followed.segment] + followed.share[:, None] * steps[followed.segment] + followed.off
     out = []
     for i in range(1, len(at) - 1):
         side = 0.5 * min(at[i] - at[i - 1], at[i + 1] - at[i])
@@ -429,7 +436,7 @@ def _corners(path: CommandedPath, followed: FollowedPath) -> list[_PassedCorner]
         if np.linalg.norm(goes - comes) < TURN or len(near) < LEAST_SAMPLES:
             continue
         near = np.arange(near[0], near[-1] + 1)
-        cut = _nearest(tip[near], corner)
+        cut = _nearest(followed.tip[near], corner)
         size = np.linalg.norm(followed.off[near], axis=1)
         left = near[(size > max(4.0 * followed.noise, LEFT * cut)) & (followed.way[near] <= at[i])]
         passed = _passed(followed, near, float(at[i]), min(max(3.0 * cut, reach), 0.9 * side))
@@ -502,7 +509,9 @@ def _corner_shape(corners: Sequence[_PassedCorner], noise: float) -> tuple[Shown
     if len(corners) < LEAST_CORNERS:
         return (ShownValue(none, none, False, f"{len(corners)} corners, {LEAST_CORNERS} are needed"),) * 2
     cuts = np.array([corner.cut for corner in corners])
-    # a cut is as well known as noise allows, and as a model of this kind is true
+    if np.percentile(cuts, 10.0) < CLEAR_CUT * noise:
+        # the nearest of places with noise is nearer than it is
+        return (ShownValue(none, none, False, "noise hides how much its corners are cut"),) * 2
     weight = 1.0 / np.hypot(noise, MODEL * cuts)
 
     def residuals(x: Array) -> Array:
@@ -516,6 +525,7 @@ def _corner_shape(corners: Sequence[_PassedCorner], noise: float) -> tuple[Shown
 
 
 def _shown(value: float, error: float) -> ShownValue:
+    error = float(np.hypot(error, TRUE * value)) if error > 0.0 else error
     told = bool(0.0 < error < SHOWN * value)  # at an end of what is looked for there is no error
     return ShownValue(
         value,
@@ -556,7 +566,7 @@ def _stops(path: CommandedPath, followed: FollowedPath) -> list[_Stop]:
         window = slice(*np.searchsorted(followed.time, followed.time[end] + np.array(STOP_SPAN)).tolist())
         top = float(np.percentile(followed.speed[window], 90.0))
         fast = np.flatnonzero(followed.speed[window] >= 0.9 * top) + window.start
-        if top > 3.0 * rest and len(fast) and fast[-1] - fast[0] > 3:
+        if top > max(3.0 * rest, CLEAR_SPEED * followed.speed_noise) and len(fast) and fast[-1] - fast[0] > 3:
             # to where it moves on
             moves_on = np.flatnonzero(~still[end : window.stop])
             last = end + int(moves_on[0]) if len(moves_on) else window.stop
@@ -584,13 +594,14 @@ def _fitted_stops(followed: FollowedPath, parts: Sequence[tuple[float, slice, fl
     rise = float(np.mean([sum(2.0 * fit.cost for fit in each) for each in around])) - float(best.fun)
     lag_error = LAG_STEP / float(np.sqrt(max(rise, 1e-3)))
     out = []
-    for fit, low, high in zip(fits(lag), *around, strict=True):
+    for (top, _, _), fit, low, high in zip(parts, fits(lag), *around, strict=True):
         speed, _, time = fit.x * STOP_UNITS
         scale = max(2.0 * float(fit.cost) / max(len(fit.fun) - 3, 1), 1.0)
         own = float(np.sqrt(np.linalg.pinv(fit.jac.T @ fit.jac)[2, 2] * scale)) * float(STOP_UNITS[2])
         by_lag = float((high.x[2] - low.x[2]) * STOP_UNITS[2]) / (sides[1] - sides[0]) * lag_error
         error = float(np.hypot(own, by_lag))
-        if error < SHOWN * time:
+        near = abs(speed / top - 1.0) < SAME_SPEED and time > SHORTEST_RAMP
+        if near and error < SHOWN * time:
             out.append(_Stop(float(speed), float(time), error))
     return out
 
@@ -666,6 +677,8 @@ def _ahead(path: CommandedPath, followed: FollowedPath, stops: Sequence[_Stop]) 
         if own.sum() >= LEAST_HELD:
             groups.append((float(length), float(np.median(held_by[own])) - 1.0))
     lengths, counts = np.array(groups).reshape(-1, 2).T
+    if most < 1.0:
+        return ShownValue(none, none, False, "stops are too short beside its moves")
     if len(counts) < 2 or lengths.max() < APART * lengths.min():
         return ShownValue(most, none, False, "at least")
     scatter = float(counts.std(ddof=1))
