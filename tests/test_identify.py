@@ -906,6 +906,7 @@ def test_the_commands_together(
     write_recording(Path("run.csv"), recording, header(cell, commanded=True), commanded=True)
     assert main(["read", "run.csv", "cylinder_logo"]) == EXIT_VERIFIED
     said = capsys.readouterr().out
+    assert "off the path of the commands: tip not shown" in said
     assert "joints follow their commands 20.0" in said and "irb140_measured.yaml" in said
     assert main(["read", "run.csv", "cylinder_logo"]) == EXIT_INPUT
     assert "is there already" in capsys.readouterr().err

@@ -27,6 +27,7 @@ from planner.feedback.identify_path import (
     FollowedPath,
     findings,
     follow,
+    off_commands,
     path_of_program,
     path_of_samples,
 )
@@ -111,6 +112,22 @@ def test_a_way_there_and_back_is_followed_in_order():
     assert followed.way[-1] == pytest.approx(0.18, abs=2e-4)
     stands = np.histogram(followed.way, np.array([-1.0, 59.5, 60.5, 119.5, 120.5, 181.0]) * 1e-3)[0]
     assert stands[1] > 70 and stands[3] > 70  # rests of 0.3 s at 60 and 120 mm
+
+
+@pytest.mark.parametrize("late", [0.0, 0.04, 0.2])
+def test_how_far_joints_leave_their_commands_does_not_count_how_late_they_are(late: float):
+    points, rests = dense(0.8e-3, 1.5e-3)
+    program = program_through(points, speed=0.1, fine=rests)
+    played = play(program, CELL, ABB)
+    t, told = executed_run(program, played, ABB, noise=0.0)
+    done = np.column_stack([np.interp(t - late, t, column) for column in told.T])
+    noise = np.random.default_rng(1).normal(0.0, NOISE, done.shape)
+    tip, joints = off_commands(t, done + noise, told, CELL)
+    assert not tip.shown and not any(each.shown for each in joints)
+    done[:, 1] += np.radians(0.3) * (t > 1.5)
+    tip, joints = off_commands(t, done + noise, told, CELL)
+    assert joints[1].most == pytest.approx(np.radians(0.3), rel=0.15)
+    assert tip.most > 1e-3
 
 
 # ---- corners ------------------------------------------------------------------------------------------------------

@@ -27,8 +27,8 @@ from planner.feedback.identify_extruder import (
 )
 from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
-from planner.feedback.identify_match import match
-from planner.feedback.identify_path import findings
+from planner.feedback.identify_match import MatchedLog, match
+from planner.feedback.identify_path import findings, off_commands
 from planner.feedback.identify_profile import move_profile
 from planner.feedback.identify_program import (
     TEST_LANGUAGES,
@@ -55,7 +55,7 @@ from planner.feedback.identify_robot_file import (
     write_controller,
     write_measured,
 )
-from planner.feedback.identify_run import path_lines, planned_run, recorded_run
+from planner.feedback.identify_run import deviation_words, joint_lines, path_lines, planned_run, recorded_run
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 
@@ -211,9 +211,8 @@ def _read(options: argparse.Namespace) -> int:
     limits = cell.limits
     log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
     delays = {fit.joint: delay for fit in fits if (delay := fit_delay(log, asked, fit.joint)) is not None}
-    print(
-        "\n".join([*log.remarks, *_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays)])
-    )
+    told = [*_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays), *_off_lines(log, cell)]
+    print("\n".join([*log.remarks, *told]))
     if not any(usable(found) for fit in fits for found in fit.limits):
         print("no limit is told that is not in the robots' files: nothing written")
         return EXIT_NOT_VERIFIED
@@ -322,6 +321,15 @@ def _delay_lines(delays: Mapping[int, JointDelay]) -> list[str]:
         f"joints follow their commands {1e3 * mean:.2f} ±{1e3 * error:.2f} ms late ({1e3 * totals.min():.2f} to "
         f"{1e3 * totals.max():.2f}): {1e3 * (mean - lag):.1f} ms of delay, then a lag of {1e3 * lag:.1f} ms"
     ]
+
+
+def _off_lines(log: MatchedLog, cell: Cell) -> list[str]:
+    """How far joints and tip leave the path of their commands, whatever the delay; nothing without commands."""
+    if log.commanded is None:
+        return []
+    part = slice(int(log.rests[0, 0]), int(log.rests[-1, 1]) + 1)
+    tip, joints = off_commands(log.time[part], log.executed[part], log.commanded[part], cell)
+    return [f"off the path of the commands: tip {deviation_words(tip)}", *joint_lines(joints, cell)]
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ LEVER = 0.1  # m: a joint that turns counts as much as the tip at this distance,
 ALIKE = 1e-4  # m by which an earlier place of the path may be farther off than the nearest and is taken all the same
 AHEAD = (3e-3, 0.1)  # m, and s of the present speed, within which the next place is looked for: a cut corner is a leap
 AROUND = 2e-3  # m of path around a place within which the tip's distance is taken
+MOST_LATE = 0.3  # s by which joints may follow their commands
 DEVIATION_SPAN = 0.036  # s over which deviations are smoothed, by parabolas
 SPEED_SPAN = 0.06  # s, likewise of speeds
 TURN = np.radians(5.0)  # of the direction at a target, from which it is a corner
@@ -38,7 +39,7 @@ LEFT = 0.05  # of a cut, from which on the line is left
 LEAST_SAMPLES = 8  # near a corner
 MODEL = 0.05  # of a cut: no controller has just parabolas and a lag
 TRUE = 0.1  # of lag and share: how the speed changes within a corner is not seen, and shifts them
-MEAN_SHOWN, MOST_SHOWN = 0.5, 5.5  # times the noise: noise alone has no mean, and hardly ever a greatest one like that
+MEAN_SHOWN, MOST_SHOWN = 0.8, 7.0  # times the noise: noise alone leaves less, of a robot at rest too
 SHOWN = 0.25  # standard error over value up to which a parameter is told
 LEAST_CORNERS = 4
 HELD = 0.95  # of the programmed speed, below which something holds the robot back
@@ -320,6 +321,51 @@ def _beside(path: Array, sample: Array, j: int, width: int, since: float) -> Any
     for c in range(width):
         off += (sample[c] - path[j, c] - u * (path[j + 1, c] - path[j, c])) ** 2
     return u, np.sqrt(off), np.sqrt(square)
+
+
+def off_commands(
+    time: Array, executed: Array, commanded: Array, cell: Cell
+) -> tuple[PathDeviation, tuple[PathDeviation, ...]]:
+    """How far the tip, and each joint, of samples (s, n) leave the path of commands (s, n) of the same clock [rad, m].
+
+    Of a command's path the part is looked at that joints may have come to: until MOST_LATE before.
+    """
+    tips = [cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3] for q in (executed, commanded)]
+    lever = np.where(cell.limits.turns, LEVER, 1.0)
+    samples, path = (np.hstack([tip, lever * q]) for tip, q in zip(tips, (executed, commanded), strict=True))
+    step = float(np.median(np.diff(time)))
+    off, joints = np.full(tips[0].shape, np.inf), np.zeros_like(executed)
+    nearest, least = np.full(len(time), np.inf), np.full(len(time), np.inf)
+    at = np.arange(len(time))
+    for late in range(-1, round(MOST_LATE / step) + 1):
+        begin = np.clip(at - late - 1, 0, len(time) - 2)
+        for width, best in ((path.shape[1], nearest), (3, least)):
+            a, way = path[begin, :width], path[begin + 1, :width] - path[begin, :width]
+            square = np.maximum((way**2).sum(axis=1), 1e-30)
+            u = np.clip(((samples[:, :width] - a) * way).sum(axis=1) / square, 0.0, 1.0)[:, None]
+            beside = samples[:, :width] - a - u * way
+            size = np.linalg.norm(beside, axis=1)
+            nearer = size < best
+            best[nearer] = size[nearer]
+            if width == 3:
+                off[nearer] = beside[nearer]
+            else:
+                told = commanded[begin] + u * (commanded[begin + 1] - commanded[begin])
+                joints[nearer] = (executed - told)[nearer]
+    window = _odd(DEVIATION_SPAN / step)
+    left = np.sqrt((savgol_coeffs(window, 2) ** 2).sum())
+    everywhere = np.ones(len(time), dtype=np.bool_)
+    noise = left * _noise(executed)
+    tip = _deviation(
+        np.linalg.norm(_smooth(off, window), axis=1),
+        float(left * np.sqrt((_noise(tips[0]) ** 2).mean())),
+        2,
+        everywhere,
+    )
+    return tip, tuple(
+        _deviation(np.abs(each), float(own), 1, everywhere)
+        for each, own in zip(_smooth(joints, window).T, noise, strict=True)
+    )
 
 
 # ----------------------------------------------------------------------------------------------------

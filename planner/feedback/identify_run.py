@@ -231,13 +231,10 @@ def _misfit(log: RobotLog, q: Array, run: PlannedRun, cell: Cell) -> InputError:
 
 def path_lines(found: PathFindings, run: RecordedRun, cell: Cell) -> list[str]:
     """What a recording shows of how a program was followed."""
-    out = [f"tip off the path: {_deviation_words(found.tip, run)}"]
+    out = [f"tip off the path: {deviation_words(found.tip, run.lines)}"]
     if found.laid is not None:
-        out.append(f"  where material is laid: {_deviation_words(found.laid, run)}")
-    out += [
-        f"  {name}: {_joint_words(each, bool(turns))}"
-        for name, each, turns in zip(cell.joint_names, found.joints, cell.limits.turns, strict=True)
-    ]
+        out.append(f"where material is laid: {deviation_words(found.laid, run.lines)}")
+    out += joint_lines(found.joints, cell)
     for zone in found.corners:
         scatter = f" ±{1e3 * zone.scatter:.2f}" if zone.count > 1 else ""
         left = f"; the line is left {1e3 * zone.leaves:.2f} mm before" if np.isfinite(zone.leaves) else ""
@@ -260,12 +257,21 @@ def path_lines(found: PathFindings, run: RecordedRun, cell: Cell) -> list[str]:
     return out
 
 
-def _deviation_words(each: PathDeviation, run: RecordedRun) -> str:
+def joint_lines(joints: Sequence[PathDeviation], cell: Cell) -> list[str]:
+    """How far each joint leaves a path."""
+    return [
+        f"  {name}: {_joint_words(each, bool(turns))}"
+        for name, each, turns in zip(cell.joint_names, joints, cell.limits.turns, strict=True)
+    ]
+
+
+def deviation_words(each: PathDeviation, lines: Array | None = None) -> str:
+    """How far a tip leaves a path; lines (s): of the file, where its samples stand."""
     noise = f"noise {1e3 * each.error:.3f} mm"
     if not each.shown:
         return f"not shown, below {1e3 * MOST_SHOWN * each.error:.2f} mm ({noise})"
-    line = int(run.lines[each.at])
-    return f"mean {1e3 * each.mean:.3f}, most {1e3 * each.most:.3f} mm ({noise}), in line {line}"
+    where = "" if lines is None else f", in line {int(lines[each.at])}"
+    return f"mean {1e3 * each.mean:.3f}, most {1e3 * each.most:.3f} mm ({noise}){where}"
 
 
 def _joint_words(each: PathDeviation, turns: bool) -> str:
