@@ -431,7 +431,17 @@ def test_a_servo_that_lags_does_not_lower_the_jerk(tmp_path: Path) -> None:
     _assert_near(truth, [fit], 0.05)
 
 
-@pytest.mark.slow(keep=("0.04-0.0-250.0",))
+def test_a_few_moves_tell_a_mean_from_a_limited_jerk(tmp_path: Path) -> None:
+    _, cell = cell_of("cylinder_logo")
+    whole = asked_of("cylinder_logo", joints=(3,), most=30.0)
+    asked = replace(whole, moves=whole.moves[:1] + whole.moves[-7:])
+    truth = truth_of(cell, mean=0.05)
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth))
+    assert fit.averaged is not None and fit.either is None
+    assert fit.jerk.value == pytest.approx(truth.acceleration[3] / 0.05, rel=0.1)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mean", "lag", "rate"), [(0.02, 0.0, 250.0), (0.04, 0.0, 250.0), (0.05, 0.015, 125.0), (0.1, 0.03, 250.0)]
 )

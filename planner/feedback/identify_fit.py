@@ -44,6 +44,7 @@ FINE = 1e-7  # share of the squares, or of the parameters, by which a step must 
 COARSE = 1e-5  # likewise, while models are compared: by far less than what one must be better by
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
+EXPLAINED = 1.1  # times the noise's variance, up to which residuals are noise
 EVIDENT = 10.0  # by which the criteria of two kinds of profile differ at least where one of them is told
 
 
@@ -294,16 +295,20 @@ def _solve_all(
         again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
         plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants, COARSE), key=lambda each: each.criterion)
     mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants, COARSE)
-    return _extended(plain, moves, noise, lags), _extended(mean, moves, noise, lags)
+    kinds = []
+    for own, other in ((plain, mean), (mean, plain)):
+        # where the other kind leaves nothing but noise as it is, only a lag could make this one as good
+        explained = other.squares < EXPLAINED * other.count and other.criterion < own.criterion
+        among = [model for model in MODELS if (lags or not model.lag) and not (explained and model.braking)]
+        kinds.append(_extended(own, moves, noise, among))
+    return tuple(kinds)
 
 
-def _extended(best: _Solved, moves: Sequence[MoveSamples], noise: float, lags: bool) -> _Solved:
+def _extended(best: _Solved, moves: Sequence[MoveSamples], noise: float, among: Sequence[_Model]) -> _Solved:
     """The best of the models that have more than a plain one."""
     tried = [best.model]
     while True:
-        more = [
-            model for model in MODELS if model not in tried and model.extends(best.model) and (lags or not model.lag)
-        ]
+        more = [model for model in among if model not in tried and model.extends(best.model)]
         if not more:
             return best
         tried += more
