@@ -34,8 +34,9 @@ from planner.feedback.identify_extruder import LENGTH, FlowLine, fit_flow, line_
 from planner.feedback.identify_fit import QUANTITIES, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
-from planner.feedback.identify_path import PathFindings, findings, follow, path_of_program
+from planner.feedback.identify_path import PathFindings, findings, follow
 from planner.feedback.identify_program import AskedMoves, asked_moves, counting, free_spaces, greatest_lengths
+from planner.feedback.identify_run import path_of_program
 from planner.problem import load_problem
 
 Array = NDArray[np.float64]

@@ -19,10 +19,10 @@ from planner.feedback.identify_command import main
 from planner.feedback.identify_extruder import (
     LENGTH,
     FlowLine,
-    asked_text,
     fit_flow,
     flow_lines,
     line_of,
+    line_text,
     problem_text,
     process_values,
     read_asked_line,
@@ -246,7 +246,7 @@ def test_fields_are_left_out_of_a_file(text: str, fields: tuple[str, ...], left:
 def test_what_a_line_asks_is_read_back(tmp_path: Path) -> None:
     problem, line = asked()
     file = tmp_path / "asked.json"
-    file.write_text(asked_text(line), encoding="utf-8")
+    file.write_text(line_text(line), encoding="utf-8")
     read = read_asked_line(file, problem)
     np.testing.assert_allclose(read.ends, line.ends, atol=1e-9)
     np.testing.assert_allclose(read.area, line.area, rtol=1e-5)
@@ -257,7 +257,7 @@ def test_what_a_line_asks_is_read_back(tmp_path: Path) -> None:
         ({"speed_mm_s": "quick"}, "is not what a line asked"),
         ({"speed_mm_s": 0}, "sections without a length or a flow"),
     ):
-        data = json.loads(asked_text(line)) | change
+        data = json.loads(line_text(line)) | change
         file.write_text(json.dumps(data), encoding="utf-8")
         with pytest.raises(InputError, match=said):
             read_asked_line(file, problem)
@@ -269,7 +269,7 @@ def test_the_command_reads_a_table(
     monkeypatch.chdir(tmp_path)
     _, line = asked()
     weighed(tmp_path, 0.12, 0.9, 0.02e-6)
-    Path("peer_cap_line_asked.json").write_text(asked_text(line))
+    Path("peer_cap_line_asked.json").write_text(line_text(line))
     read = ["extruder", "read", "line.csv", "peer_cap", "--density", "1.24"]
     assert main(read) == EXIT_VERIFIED
     said = capsys.readouterr().out
@@ -288,7 +288,7 @@ def test_a_table_that_tells_nothing_writes_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     weighed(tmp_path, 0.0, 1.0, 0.6e-6)
-    Path("peer_cap_line_asked.json").write_text(asked_text(asked()[1]))
+    Path("peer_cap_line_asked.json").write_text(line_text(asked()[1]))
     assert main(["extruder", "read", "line.csv", "peer_cap", "--write", "mine.yaml"]) == EXIT_NOT_VERIFIED
     assert "lag: not shown, at most" in capsys.readouterr().out and not Path("mine.yaml").exists()
 

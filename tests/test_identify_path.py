@@ -28,11 +28,15 @@ from planner.feedback.identify_path import (
     findings,
     follow,
     off_commands,
-    path_of_program,
-    path_of_samples,
 )
 from planner.feedback.identify_robot_file import robots_of, write_controller
-from planner.feedback.identify_run import PlannedRun, planned_run, recorded_run
+from planner.feedback.identify_run import (
+    PlannedRun,
+    path_of_program,
+    path_of_samples,
+    planned_run,
+    recorded_run,
+)
 from planner.plan import Plan
 from planner.plan.seal import sealed
 from planner.planning.pipeline import write

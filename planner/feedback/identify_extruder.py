@@ -7,7 +7,6 @@ width over a length of speed times lag. What was weighed in segments, or measure
 
 from __future__ import annotations
 
-import argparse
 import csv
 import json
 import math
@@ -20,14 +19,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.base.command_line import Command
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, nearest_name
+from planner.base.errors import InputError, nearest_name
 from planner.base.files import read_text
-from planner.base.results import results_folder
-from planner.planning.solve_command import main as solve_main
-from planner.problem import Problem, load_problem
-from planner.problem.fields import LONGEST_NAME
-from planner.problem.rewrite import Value, changed_text, without, write_changed
+from planner.problem import Problem
+from planner.problem.rewrite import Value, changed_text, without
 
 BY = "identify"  # whose files a folder of results lists
 FORMAT = "beadwise extruder line 1"
@@ -198,7 +193,7 @@ def problem_text(problem: Problem, line: FlowLine, name: str, folder: Path) -> s
     return f"{text.rstrip()}\n\n# A line with steps of flow, by beadwise identify extruder.\nlayers:\n  source: {{waypoints: {name}.txt}}\n"
 
 
-def asked_text(line: FlowLine) -> str:
+def line_text(line: FlowLine) -> str:
     """JSON of what a line asks: mm, mm², mm/s."""
     data = {
         "format": FORMAT,
@@ -437,189 +432,3 @@ def process_values(found: FoundFlow, line: FlowLine, problem: Problem) -> dict[s
     if math.isfinite(found.flow):
         out["process.filament_diameter_mm"] = float(f"{1e3 * line.filament * math.sqrt(found.flow):.5g}")
     return out
-
-
-# ----------------------------------------------------------------------------------------------------
-# The commands.
-
-
-def extruder_write_command() -> Command:
-    """The parser of `python -m planner.feedback.identify extruder write`."""
-    parser = Command(
-        "feedback.identify extruder write",
-        "Plan a line whose flow steps while the nozzle keeps its speed, to be cut and weighed, or looked at from above.",
-        {
-            "peer_cap": "in out/peer_cap_line, 240 mm along x around the part frame's origin",
-            'my_part.yaml --from "50, 0, 0.5" --to "50, 180, 0.5"': "between two places of the nozzle's tip in the part frame",
-        },
-        {
-            0: "verified plan of the line written",
-            2: "wrong input; nothing written",
-            3: "no verified plan",
-            130: "interrupted",
-        },
-    )
-    parser.add_argument(
-        "problem", metavar="CELL", help="problem file (.yaml) with cell and process, or a shipped one's name"
-    )
-    for name, which in (("--from", "begins"), ("--to", "ends")):
-        parser.add_argument(
-            name,
-            type=_place,
-            metavar="X,Y,Z",
-            dest=f"line_{which}",
-            help=f"where the nozzle's tip {which} in the part frame [mm] (default: 240 mm along x around its origin, a bead's height up)",
-        )
-    parser.add_argument(
-        "--normal", type=_place, default=(0.0, 0.0, 1.0), metavar="X,Y,Z", help="out of the bed (default: 0,0,1)"
-    )
-    parser.add_argument(
-        "--bead", type=_bead, metavar="W,H", help="width and height of the bead [mm] (default: those of the problem)"
-    )
-    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_line")
-    return parser
-
-
-def write_line(options: argparse.Namespace) -> int:
-    """Write and plan a test line; returns the exit code."""
-    problem = load_problem(options.problem)
-    height = problem.process.bead.height if options.bead is None else options.bead[1] * 1e-3
-    begin, end = (
-        np.array(given) * 1e-3 if given is not None else np.array([side * 0.5 * LENGTH, 0.0, height])
-        for given, side in ((options.line_begins, -1.0), (options.line_ends, 1.0))
-    )
-    bead = None if options.bead is None else (1e-3 * options.bead[0], 1e-3 * options.bead[1])
-    normal, length = np.array(options.normal), float(np.linalg.norm(end - begin))
-    line = line_of(problem, length, bead)
-    if length < SHORTEST:
-        reason = f"the line is {1e3 * length:.3g} mm long"
-        raise InputError(
-            reason, field="--to", hint=f"at least {1e3 * SHORTEST:g} mm, so that the flow settles between steps"
-        )
-    if not np.linalg.norm(normal) > 0.0 or abs(normal @ (end - begin)) > 1e-3 * length * float(np.linalg.norm(normal)):
-        raise InputError("is not across the line", field="--normal", hint="out of the bed, for example 0,0,1")
-    name = f"{problem.name[: LONGEST_NAME - 5]}_line"
-    folder = options.out or Path("out") / f"{problem.name}_line"
-    with results_folder(folder, BY) as fresh:
-        files = {
-            f"{name}.txt": waypoints_text(line, begin, end, normal / np.linalg.norm(normal)),
-            f"{name}.yaml": problem_text(problem, line, name, folder),
-            f"{name}_asked.json": asked_text(line),
-        }
-        for file, text in files.items():
-            (fresh / file).write_text(text, encoding="utf-8", newline="\n")
-    steps = ", ".join(f"{1e3 * at:g}" for at in line.ends[1:-1])
-    print(
-        f"a line of {1e3 * length:g} mm at {1e3 * line.speed:g} mm/s, whose flow steps at {steps} mm\n{folder / f'{name}_asked.json'}"
-    )
-    return solve_main([str(folder / f"{name}.yaml"), "--out", str(folder / "plan"), "--quiet"])
-
-
-def extruder_read_command() -> Command:
-    """The parser of `python -m planner.feedback.identify extruder read`."""
-    parser = Command(
-        "feedback.identify extruder read",
-        "Find the extruder's lag and how much it lays in a table of a test line: from_mm, to_mm, mass_mg of segments, or s_mm, "
-        "width_mm along it.",
-        {
-            "line.csv peer_cap --density 1.24": "prints what to put into the problem file",
-            "line.csv my_part.yaml --write my_part_measured.yaml": "writes a copy of it",
-        },
-        {
-            0: "found",
-            2: "wrong input; nothing written",
-            3: "the table tells nothing; nothing written",
-            130: "interrupted",
-        },
-    )
-    parser.add_argument("table", type=Path, metavar="TABLE", help="CSV file with places along the line in mm")
-    parser.add_argument(
-        "problem", metavar="CELL", help="problem file (.yaml) for which the line was written, or a shipped one's name"
-    )
-    parser.add_argument(
-        "--density",
-        type=_positive,
-        metavar="G_CM3",
-        help="of the material, without which masses do not tell how much is laid",
-    )
-    parser.add_argument(
-        "--asked",
-        type=Path,
-        metavar="FILE",
-        help="what the line asked (default: beside TABLE, or in out/<problem>_line)",
-    )
-    parser.add_argument(
-        "--write", type=Path, metavar="FILE", help="write a copy of the problem file with what was measured"
-    )
-    return parser
-
-
-def read_line(options: argparse.Namespace) -> int:
-    """Read the table of a test line; returns the exit code."""
-    problem = load_problem(options.problem)
-    if options.write is not None and options.write.exists():
-        raise OutputError(f"{options.write} is there already, and stays as it is: choose another name")
-    line = read_asked_line(_asked_path(options, problem), problem)
-    density = None if options.density is None else 1e3 * options.density
-    found = fit_flow(read_table(options.table, line), line, density)
-    values = process_values(found, line, problem)
-    print("\n".join(flow_lines(found)))
-    if not values:
-        print("nothing is told that could be written")
-        return EXIT_NOT_VERIFIED
-    if options.write is None:
-        print(_section(values))
-        return EXIT_VERIFIED
-    write_changed(problem, values, options.write)
-    print(options.write)
-    return EXIT_VERIFIED
-
-
-def _section(values: dict[str, Value]) -> str:
-    """The lines of the problem file."""
-    out = ["process:"]
-    for field, value in values.items():
-        if field == "process.filament_diameter_mm":
-            out.append(f"  filament_diameter_mm: {value:g}   # as the extruder feeds it")
-        else:
-            lag = value["lag_s"] if isinstance(value, dict) else value
-            out.append(f"  extruder: {{lag_s: {lag:g}}}")
-    return "\n".join(out)
-
-
-def _asked_path(options: argparse.Namespace, problem: Problem) -> Path:
-    if options.asked is not None:
-        return Path(options.asked)
-    name = f"{problem.name[: LONGEST_NAME - 5]}_line_asked.json"
-    beside = options.table.parent / name
-    return Path(beside) if beside.is_file() else Path("out") / f"{problem.name}_line" / name
-
-
-def _place(text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(word) for word in text.replace(",", " ").split())
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers") from None
-    if not all(map(math.isfinite, (x, y, z))):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers")
-    return x, y, z
-
-
-def _bead(text: str) -> tuple[float, float]:
-    try:
-        width, height = (float(word) for word in text.replace(",", " ").split())
-    except ValueError:
-        width = height = math.nan
-    if not (0.0 < width < 100.0 and 0.0 < height < 100.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no bead: width and height in mm")
-    return width, height
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < 30.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is no density in g/cm3")
-    return value

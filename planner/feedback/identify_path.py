@@ -18,9 +18,6 @@ from scipy.signal import lfilter, savgol_coeffs, savgol_filter
 from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
 from planner.base.compiled import njit
 from planner.cell.cell import Cell
-from planner.export.player.play import play
-from planner.export.player.played import laid_moves
-from planner.export.program import RobotProgram
 
 LEVER = 0.1  # m: a joint that turns counts as much as the tip at this distance, where places are compared
 ALIKE = 1e-4  # m by which an earlier place of the path may be farther off than the nearest and is taken all the same
@@ -176,28 +173,6 @@ class PathFindings:
     lag: ShownValue
     brakes: tuple[Braking, ...]
     ahead: ShownValue
-
-
-def path_of_program(program: RobotProgram, cell: Cell) -> CommandedPath:
-    """The path of a program as it stands, corners and all. Raises InputError for one that cannot be played."""
-    played = play(program, cell)
-    return CommandedPath(
-        q=played.q,
-        tip=played.position,
-        target=played.target,
-        zone=program.zone,
-        fine=program.fine,
-        line=program.linear & ~program.circular,
-        laid=laid_moves(played),
-        speed=np.where(program.linear, program.speed[:, 0], np.nan),
-    )
-
-
-def path_of_samples(q: Array, cell: Cell) -> CommandedPath:
-    """The path through sampled joints (k, n) [rad, m], of which no targets are known."""
-    none, nothing = np.empty(0), np.empty(0, dtype=np.bool_)
-    tip = cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
-    return CommandedPath(q, tip, np.empty(0, dtype=np.intp), none, nothing, nothing, nothing, none)
 
 
 # ----------------------------------------------------------------------------------------------------

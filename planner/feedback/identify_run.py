@@ -14,6 +14,9 @@ from planner.base.errors import InputError
 from planner.cell.cell import Cell
 from planner.export.controllers import CONTROLLERS
 from planner.export.languages import LANGUAGES, chosen
+from planner.export.player.play import play
+from planner.export.player.played import laid_moves
+from planner.export.program import RobotProgram
 from planner.export.rapid.reader import read_rapid_files
 from planner.feedback.identify_log import RobotLog
 from planner.feedback.identify_match import LogReading, check_clock, readings
@@ -25,8 +28,6 @@ from planner.feedback.identify_path import (
     PathFindings,
     ShownValue,
     follow,
-    path_of_program,
-    path_of_samples,
 )
 from planner.feedback.identify_program import counting
 from planner.plan import Plan
@@ -91,6 +92,28 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
     own = language.plan(plan).cell
     program = language.program(plan, language.write(plan))
     return PlannedRun(path_of_program(program, own), own, name, f"the plan's {language.title} program")
+
+
+def path_of_program(program: RobotProgram, cell: Cell) -> CommandedPath:
+    """The path of a program as it stands, corners and all. Raises InputError for one that cannot be played."""
+    played = play(program, cell)
+    return CommandedPath(
+        q=played.q,
+        tip=played.position,
+        target=played.target,
+        zone=program.zone,
+        fine=program.fine,
+        line=program.linear & ~program.circular,
+        laid=laid_moves(played),
+        speed=np.where(program.linear, program.speed[:, 0], np.nan),
+    )
+
+
+def path_of_samples(q: Array, cell: Cell) -> CommandedPath:
+    """The path through sampled joints (k, n) [rad, m], of which no targets are known."""
+    none, nothing = np.empty(0), np.empty(0, dtype=np.bool_)
+    tip = cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
+    return CommandedPath(q, tip, np.empty(0, dtype=np.intp), none, nothing, nothing, nothing, none)
 
 
 def _of_folder(folder: Path, problem: Problem, cell: Cell) -> PlannedRun:

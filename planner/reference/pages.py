@@ -8,8 +8,12 @@ from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
 from planner.demo.command import demo_command
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
-from planner.feedback.identify_command import identify_read_command, identify_write_command
-from planner.feedback.identify_extruder import extruder_read_command, extruder_write_command
+from planner.feedback.identify_command import (
+    extruder_read_command,
+    extruder_write_command,
+    identify_read_command,
+    identify_write_command,
+)
 from planner.feedback.scan_command import scan_command
 from planner.link.command import link_command
 from planner.link.guided_motion import egm_command
