@@ -35,7 +35,7 @@ CLEAR_CUT = 6.0  # times the noise, from which cuts tell the lag
 LEFT = 0.05  # of a cut, from which on the line is left
 LEAST_SAMPLES = 8  # near a corner
 MODEL = 0.05  # of a cut: no controller has just parabolas and a lag
-TRUE = 0.1  # of lag and share: how the speed changes within a corner is not seen, and shifts them
+TRUE = 0.1  # of lag, share and ramps: how the speed changes within a corner is not seen, and no ramp is quite even
 MEAN_SHOWN, MOST_SHOWN = 0.8, 7.0  # times the noise: noise alone leaves less, of a robot at rest too
 SHOWN = 0.25  # standard error over value up to which a parameter is told
 LEAST_CORNERS = 4
@@ -392,9 +392,9 @@ def _brakes(stops: Sequence[_Stop]) -> list[Braking]:
         times = np.array([stop.time for stop in group])
         weights = 1.0 / np.maximum([stop.error for stop in group], 1e-5) ** 2
         scatter = float(times.std(ddof=1) / np.sqrt(len(times))) if len(times) > 1 else 0.0
-        error = max(float(weights.sum() ** -0.5), scatter)
-        speed = float(np.mean([stop.speed for stop in group]))
-        out.append(Braking(speed, len(group), float(np.average(times, weights=weights)), error))
+        speed, time = float(np.mean([stop.speed for stop in group])), float(np.average(times, weights=weights))
+        error = float(np.hypot(max(float(weights.sum() ** -0.5), scatter), TRUE * time))
+        out.append(Braking(speed, len(group), time, error))
     return out
 
 
