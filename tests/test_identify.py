@@ -460,6 +460,17 @@ def test_a_mean_over_a_fixed_time_is_told_from_a_limited_jerk(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("mean", [0.013, 0.08])
+def test_commands_tell_a_mean_to_the_last_digit(tmp_path: Path, mean: float) -> None:
+    """Times of a few samples too, from which a search that begins with a sudden acceleration does not come away."""
+    _, cell = cell_of("cylinder_logo")
+    truth, asked = truth_of(cell, mean=mean), asked_of("cylinder_logo", joints=(0,))
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth), commanded=True)
+    assert fit.averaged is not None and fit.averaged[0] == pytest.approx(mean, rel=1e-4)
+    assert fit.acceleration.value == pytest.approx(truth.acceleration[0], rel=1e-3)
+
+
+@pytest.mark.slow
 def test_a_mean_with_braking_that_differs_gives_the_lesser_jerk(tmp_path: Path) -> None:
     _, cell = cell_of("cylinder_logo")
     plain, asked = truth_of(cell, mean=0.06), asked_of("cylinder_logo", joints=(4,))

@@ -41,6 +41,7 @@ PLATEAU = 0.15  # of the time in which an acceleration is reached that it is hel
 BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
 MOST_STEPS = 60  # of a search
 FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
+LONGER = (2.0, 4.0)  # times the time of a mean, with which a search begins anew
 COARSE = 1e-5  # likewise, while models are compared: by far less than what one must be better by
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
@@ -295,6 +296,11 @@ def _solve_all(
         again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
         plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants, COARSE), key=lambda each: each.criterion)
     mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants, COARSE)
+    if mean.squares > EXPLAINED * mean.count:
+        # a time that is too short changes nothing any more: begin with longer ones as well
+        longer = [plain.shared - np.log(factor) * (np.arange(len(plain.shared)) == levels + 1) for factor in LONGER]
+        tries = (_solve(PLAIN_MEAN, moves, noise, begin, plain.instants, COARSE) for begin in longer)
+        mean = min(mean, *tries, key=lambda each: each.criterion)
     kinds = []
     for own, other in ((plain, mean), (mean, plain)):
         # where the other kind leaves nothing but noise as it is, only a lag could make this one as good
