@@ -1,10 +1,13 @@
-"""How well limits and delays are identified: robots with known limits, recorded with noise, at several rates.
+"""How well robots are identified: known limits, controllers and extruders, recorded with noise, at several rates.
 
 python -m benchmarks.identify [--seeds 2] [--quick]
 
 Each robot moves as its test program asks, its true limits drawn anew for each seed: speed 0.7 to 1 of its file's,
 acceleration 0.5 to 1.5, jerk 0.25 to 0.8, servo lag and delay as named. `worst` is over all joints and seeds, of limits
 that are told; `not told` counts those that the recording does not show, such as a speed that is not reached.
+
+A second table has controllers that follow a program: an IRB 140's tip along corners with zones of 0.5, 2 and 5 mm, and
+along lines of short moves to and fro. A third has extruders, whose test line is weighed or looked at.
 """
 
 from __future__ import annotations
@@ -13,23 +16,30 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.recordings import TrueRobot, recorded, write_recording
+from benchmarks.controller import program_of
+from benchmarks.recordings import TrueRobot, executed_run, line_table, recorded, write_recording
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
-from planner.feedback.identify_delay import fit_delay
-from planner.feedback.identify_fit import QUANTITIES, fit_joints
+from planner.export.player.model import ABB, MotionModel
+from planner.export.player.play import play
+from planner.feedback.identify_extruder import LENGTH, FlowLine, fit_flow, line_of, read_table
+from planner.feedback.identify_fit import QUANTITIES, fit_delay, fit_joints
 from planner.feedback.identify_log import read_log
 from planner.feedback.identify_match import match
-from planner.feedback.identify_moves import AskedMoves, asked_moves, free_spaces, greatest_lengths
-from planner.feedback.identify_program import counting
+from planner.feedback.identify_path import PathFindings, findings, follow
+from planner.feedback.identify_program import AskedMoves, asked_moves, counting, free_spaces, greatest_lengths
+from planner.feedback.identify_run import path_of_program
 from planner.problem import load_problem
+
+Array = NDArray[np.float64]
 
 COLUMNS = ("robot", "samples/s", "noise °", "recorded", *(f"{what}: median, worst %" for what in QUANTITIES), "not told",
            "delay and lag: worst ms")  # fmt: skip
@@ -41,6 +51,7 @@ class IdentifyCase:
     """A robot, how it is recorded, and whether commands are in the recording.
 
     lag, delay [s] of the servo;  braking: share of the acceleration;  jitter [s]: by which stamps are late, evenly spread
+    mean [s]   of a moving mean that smooths profiles without a limited jerk; the true jerk is acceleration over that
     """
 
     title: str
@@ -53,6 +64,7 @@ class IdentifyCase:
     delay: float = 0.0
     braking: float = 1.0
     jitter: float = 0.0
+    mean: float = 0.0
 
 
 LOGO = ("cylinder_logo", ())
@@ -64,6 +76,8 @@ CASES = (
     IdentifyCase("the same, braking at 0.7", *LOGO, 250.0, 0.01, braking=0.7),
     IdentifyCase("the same, lagging by 20 ms", *LOGO, 250.0, 0.01, lag=0.02),
     IdentifyCase("the same, stamps late by up to 4 ms", *LOGO, 125.0, 0.01, jitter=4e-3),
+    IdentifyCase("the same, smoothing by a mean over 40 ms", *LOGO, 250.0, 0.01, mean=0.04),
+    IdentifyCase("the same, lagging by 15 ms as well", *LOGO, 250.0, 0.01, mean=0.04, lag=0.015),
     IdentifyCase("the same, with its commands", *LOGO, 250.0, 0.01, commands=True, lag=0.015, delay=0.033),
     IdentifyCase("UR10e", "peer_cap", UR, 500.0, 0.01, commands=True, lag=0.004, delay=0.006),
     IdentifyCase("UR10e", "peer_cap", UR, 125.0, 0.01),
@@ -91,6 +105,7 @@ def truth_of(cell: Cell, case: IdentifyCase, seed: int) -> TrueRobot:
         None if case.braking == 1.0 else case.braking * acceleration,
         case.delay,
         case.lag,
+        case.mean,
     )
 
 
@@ -123,7 +138,8 @@ def measure(case: IdentifyCase, seeds: int, folder: Path) -> CaseErrors:
         )
         slower = min(1.0, case.braking)
         for fit in fits:
-            true = (truth.speed, slower * truth.acceleration, truth.jerk)
+            jerk = slower * truth.acceleration / case.mean if case.mean else truth.jerk
+            true = (truth.speed, slower * truth.acceleration, jerk)
             for errors, limit, values in zip(found.limits, fit.limits, true, strict=True):
                 if limit.told:
                     errors.append(limit.value / float(values[fit.joint]) - 1.0)
@@ -156,6 +172,87 @@ def row_of(case: IdentifyCase, errors: CaseErrors) -> list[str]:
     ]
 
 
+# ----------------------------------------------------------------------------------------------------
+# Controllers that follow a program, and extruders.
+
+PATH_COLUMNS = ("controller", "mm/s", "zones cut by: true, found", "lag, ms: true, found", "braking, ms: true, found",
+                "look-ahead, moves: true, found")  # fmt: skip
+FLOW_COLUMNS = ("extruder lag, s", "weighed: s, ±; flow", "looked at: s, ±; flow")
+ZONES = np.tile([0.5e-3, 2e-3, 5e-3, 5e-3], 6)
+ZIGZAG = np.array([[0.0, 0.009 * k, 0.03 * (k % 2)] for k in range(1, 25)])
+SHORT = (0.8e-3, 1.5e-3)  # m: lengths of moves along lines of 60 mm
+FEW = replace(ABB, name="ABB's, 3 moves ahead", ahead_moves=3, move_time=0.0)
+MODELS = ((ABB, 0.04), (ABB, 0.1), (ABB, 0.25), (replace(ABB, name="ABB's, lag 30 ms", lag=0.03), 0.1), (FEW, 0.15))
+FLOW = 0.92  # share of what was asked
+SCALE, PIXEL = 0.02e-6, 0.02e-3  # kg, m: noise of masses of 5 mm, and of widths each millimetre
+DENSITY = 1240.0  # kg/m³
+
+
+def to_and_fro(move: float, *more: float) -> tuple[Array, list[int]]:
+    """Targets of lines of 60 mm to and fro, each in moves of one length [m], and those at which the robot rests."""
+    y, points, stops = 0.0, [], []
+    for k, step in enumerate((move, *more)):
+        side = -1.0 if k % 2 else 1.0
+        for _ in range(round(0.06 / step)):
+            y += side * step
+            points.append([0.0, y, 0.0])
+        stops.append(len(points) - 1)
+    return np.array(points), stops
+
+
+def followed(
+    model: MotionModel, speed: float, points: Array, zone: Array | float, rests: Sequence[int]
+) -> PathFindings:
+    """What a recording of an arm of a model shows, along points (m, 3) from where it stands [m]."""
+    cell = build_cell(load_problem("planar_gcode"))
+    home = np.tile(cell.home, (len(points) + 1, 1))
+    position = cell.T_part_nozzle(home[:1])[0, :3, 3] + np.vstack([np.zeros(3), points])
+    program = program_of(cell, home, position, speed, zone, rests)
+    program = replace(program, wait=np.where(program.fine, 0.3, 0.0))
+    t, q = executed_run(program, play(program, cell, model), model)
+    path = path_of_program(program, cell)
+    return findings(path, follow(path, t, q, cell))
+
+
+def path_row(model: MotionModel, speed: float) -> list[str]:
+    """A row of the second table."""
+    corners = followed(model, speed, ZIGZAG, ZONES, ())
+    points, rests = to_and_fro(*SHORT)
+    lines = followed(model, speed, points, 1e-3, rests)
+    depth, lag, ahead = corners.depth, corners.lag, lines.ahead
+    brakes = "; ".join(
+        f"{1e3 * model.ramp * each.speed ** (1 / 3):.0f}, {1e3 * each.time:.0f} ±{1e3 * each.error:.0f} "
+        f"from {1e3 * each.speed:.0f} mm/s"
+        for each in lines.brakes
+    )
+    return [
+        model.name,
+        f"{1e3 * speed:g}",
+        f"{model.depth:.2f}, {depth.value:.2f} ±{depth.error:.2f}" if depth.told else "not shown",
+        f"{1e3 * model.lag:.1f}, {1e3 * lag.value:.1f} ±{1e3 * lag.error:.1f}" if lag.told else "not shown",
+        brakes or "not shown",
+        f"{model.ahead_moves}, "
+        + (
+            f"{ahead.value:.1f} ±{ahead.error:.1f}"
+            if ahead.told
+            else f"at least {ahead.value:.0f}"
+            if ahead.reason == "at least"
+            else "not shown"
+        ),
+    ]
+
+
+def flow_row(line: FlowLine, lag: float, folder: Path) -> tuple[list[str], list[float]]:
+    """A row of the third table, and errors of the lag [s]."""
+    words, errors = [], []
+    for density, noise in ((DENSITY, SCALE), (None, PIXEL)):
+        file = line_table(folder / "line.csv", line, lag, FLOW, density=density, noise=noise)
+        found = fit_flow(read_table(file, line), line, density)
+        words.append(f"{found.lag:.4f}, ±{found.lag_error:.4f}; {found.flow:.4f} ±{found.flow_error:.4f}")
+        errors.append(found.lag - lag)
+    return [f"{lag:g}", *words], errors
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 1 where a limit is 10 % off, or a delay 4 ms."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.identify", description=__doc__.splitlines()[0])
@@ -171,7 +268,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             good &= all(abs(error) < 0.1 for each in errors.limits for error in each)
             good &= all(abs(error) < 4e-3 for error in errors.delays)
             print(f"{case.title}, {case.rate:g}/s: done", file=sys.stderr)
-    Console(width=200).print(table)
+        paths, flows = Table(*PATH_COLUMNS), Table(*FLOW_COLUMNS)
+        for model, speed in MODELS[:1] if options.quick else MODELS:
+            paths.add_row(*path_row(model, speed))
+        line = line_of(load_problem("peer_cap"), LENGTH)
+        for lag in (0.06,) if options.quick else (0.02, 0.06, 0.15, 0.4):
+            row, off = flow_row(line, lag, Path(folder))
+            flows.add_row(*row)
+            good &= all(abs(error) < 4e-3 for error in off)
+    for each in (table, paths, flows):
+        Console(width=200).print(each)
     return 0 if good else 1
 
 

@@ -21,6 +21,7 @@ NAMES = [
     "05_fibre_two_robots",
     "06_your_own_cell",
     "07_compare_strategies",
+    "08_from_assumed_to_measured",
 ]
 PATIENCE = 300  # seconds for a cell: kernels may have to be compiled first
 

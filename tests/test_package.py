@@ -174,7 +174,8 @@ COMP_WORDS=(beadwise solve peer_c); COMP_CWORD=2; _shtab_beadwise; echo "${{COMP
 COMP_WORDS=(beadwise ro); COMP_CWORD=1; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
 COMP_WORDS=(beadwise identify wr); COMP_CWORD=2; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
 COMP_WORDS=(beadwise identify write peer_c); COMP_CWORD=3; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
+COMP_WORDS=(beadwise identify extruder re); COMP_CWORD=3; _shtab_beadwise; echo "${{COMPREPLY[@]}}"
 """
     ran = subprocess.run(["bash", "-c", completes], capture_output=True, text=True, check=True)
-    assert ran.stdout.splitlines() == ["peer_cap peer_cylinder", "robots", "write", "peer_cap peer_cylinder"]
+    assert ran.stdout.splitlines() == ["peer_cap peer_cylinder", "robots", "write", "peer_cap peer_cylinder", "read"]
     assert robot_names() and "compadd" in script("zsh")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import coal
@@ -306,3 +307,18 @@ def test_lines_of_elements_are_those_of_the_file() -> None:
     rows = urdf.path.read_text(encoding="utf-8").splitlines()
     for name, link in urdf.links().items():
         assert f'<link name="{name}"' in rows[urdf.lines[link] - 1]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("quick", "must be values by name"),
+        ("{lag: 3}", "did you mean lag_ms?"),
+        ("{lag_ms: soon}", "lag_ms must be a number (0 to 300)"),
+        ("{lag_ms: -1}", "lag_ms must be a number (0 to 300)"),
+        ("{ahead_moves: 2.5}", "ahead_moves must be a whole number (1 to 1000)"),
+    ],
+)
+def test_what_a_controller_does_is_read_with_its_bounds(given: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_robot(write(tmp_path, yaml=f"{YAML}range_deg: {{wrist: [-360, 360]}}\ncontroller: {given}\n"))

@@ -21,6 +21,7 @@ EXTRAS = {
     "networkx": "meshes",
     "xacro": "xacro",
     "xacrodoc": "xacro",
+    "rosbags": "bags",
 }
 
 

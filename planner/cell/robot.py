@@ -44,6 +44,7 @@ class Robot:
              the URDF has no collision shapes
     looks    meshes that its links show, in the same way; empty where the URDF shows none
     measured what of its limits was measured, and from what, in words; empty where nothing was
+    controller  what its controller was measured to do: fields of its model (planner.export.player.model) and values [SI]
     """
 
     key: str
@@ -58,6 +59,7 @@ class Robot:
     bodies: tuple[tuple[Body, ...], ...]
     looks: tuple[tuple[Look, ...], ...]
     measured: str = ""
+    controller: tuple[tuple[str, float], ...] = ()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -136,6 +138,7 @@ def read_robot(path: Path) -> Robot:
         bodies=read_bodies(urdf, model, rules),
         looks=read_looks(urdf, model, rules),
         measured=file.text("measured") if "measured" in file.data else "",
+        controller=file.controller(),
     )
 
 

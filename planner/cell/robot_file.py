@@ -22,6 +22,14 @@ MOST_PIECES = 12  # of a link
 COLOUR = "#[0-9a-fA-F]{6}"
 KINDS = ("spherical_wrist", "offset_wrist", "skew_wrist", "seven_axes")
 
+# What a controller may be measured to do: the field of its model, least and greatest value in the file, and the unit in SI.
+CONTROLLER = {
+    "lag_ms": ("lag", 0.0, 300.0, 1e-3),
+    "zone_share": ("depth", 0.0, 2.0, 1.0),
+    "ramp_ms": ("ramp", 1.0, 2000.0, 1e-3),
+    "ahead_moves": ("ahead_moves", 1.0, 1000.0, 1.0),
+}
+
 
 @dataclass(frozen=True)
 class RobotKey:
@@ -123,6 +131,20 @@ KEYS = {
         "nothing",
         _TEXT,
     ),
+    "controller": RobotKey(
+        "what its controller was measured to do, for forecasts: lag_ms by which the arm follows, zone_share of their parabolas "
+        "by which zones are cut, ramp_ms from rest to 1 m/s, ahead_moves that it knows",
+        "{lag_ms: 19.7, zone_share: 0.87, ramp_ms: 180}",
+        "the model of its language's controller",
+        {
+            "type": "object",
+            "properties": {
+                name: {"type": "number", "minimum": low, "maximum": high}
+                for name, (_, low, high, _) in CONTROLLER.items()
+            },
+            "additionalProperties": False,
+        },
+    ),
     "spherical_wrist": RobotKey(
         "of an arm whose last three axes meet, counted from upper arm upright and forearm level: its seven lengths [mm], as "
         "Brandstötter et al. name them (OPW), held against the URDF; in place of inverse_kinematics",
@@ -213,6 +235,22 @@ class RobotFile:
             if not isinstance(colour, str) or not re.fullmatch(COLOUR, colour):
                 raise self.error("colours", f'{name} must have a colour such as "#f47a20"', "in quotes, six hex digits")
         return given
+
+    def controller(self) -> tuple[tuple[str, float], ...]:
+        """What the controller was measured to do: fields of its model and values [SI]; none where it is left out."""
+        given = self.data.get("controller", {})
+        if not isinstance(given, dict):
+            raise self.error("controller", "must be values by name", "for example {lag_ms: 19.7}")
+        out = []
+        for name, value in given.items():
+            self.known("controller", "value", name, CONTROLLER)
+            field, low, high, unit = CONTROLLER[name]
+            if not is_number(value) or not low <= value <= high:
+                raise self.error("controller", f"{name} must be a number", f"{low:g} to {high:g}")
+            if field == "ahead_moves" and value != int(value):
+                raise self.error("controller", f"{name} must be a whole number", f"{low:g} to {high:g}")
+            out.append((field, float(value) * unit))
+        return tuple(out)
 
     def link_pairs(self, links: Collection[str]) -> tuple[tuple[str, str], ...]:
         """Pairs of links that may be in touch; none where it is left out."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from planner.export.player.model import ABB, ASSUMED_ABB, MotionModel
 
@@ -22,6 +23,14 @@ class ControllerLimits:
     warned_time: float
     most_targets: int | None
     source: str
+
+    def measured(self, values: Sequence[tuple[str, float]]) -> ControllerLimits:
+        """The same as one controller was measured: fields of its motion and values [SI]."""
+        if not values:
+            return self
+        own = {name: int(value) if name == "ahead_moves" else value for name, value in values}
+        assumed = tuple(name for name in self.motion.assumed if name not in own)
+        return replace(self, motion=replace(self.motion, assumed=assumed, **own))  # type: ignore[arg-type]
 
     @property
     def most_per_second(self) -> float:

@@ -80,7 +80,8 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
         texts |= own
         if name in CONTROLLERS:
             planned = None if plan.asked is None else plan.trajectory
-            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, CONTROLLERS[name], planned)
+            controller = CONTROLLERS[name].measured(plan.cell.arm_robot.controller)
+            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, controller, planned)
     if foretold:
         _write_text(folder / FORECAST, forecast_json(foretold))
     return tuple(_write_text(folder / name, text) for name, text in texts.items())

@@ -7,6 +7,7 @@ python -m planner.feedback.identify read run.csv cylinder_logo
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -15,36 +16,58 @@ from pathlib import Path
 import numpy as np
 
 from planner.base.command_line import Command, exit_code, one_of
-from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, nearest_name
+from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, nearest_name
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
-from planner.feedback.identify_delay import JointDelay, fit_delay
-from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointFit, fit_joints
-from planner.feedback.identify_log import read_log
-from planner.feedback.identify_match import match
-from planner.feedback.identify_moves import (
-    AskedMoves,
-    FreeSpace,
-    asked_moves,
-    free_spaces,
-    greatest_lengths,
-    moves_enough,
-    start_posture,
+from planner.feedback.identify_extruder import (
+    LENGTH,
+    SHORTEST,
+    fit_flow,
+    flow_lines,
+    line_of,
+    line_text,
+    problem_text,
+    process_values,
+    read_asked_line,
+    read_table,
+    waypoints_text,
 )
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
+from planner.feedback.identify_log import read_log
+from planner.feedback.identify_match import MatchedLog, match
+from planner.feedback.identify_path import findings, off_commands
 from planner.feedback.identify_profile import move_profile
 from planner.feedback.identify_program import (
     TEST_LANGUAGES,
+    AskedMoves,
+    FreeSpace,
     asked_limits,
+    asked_moves,
     asked_name,
     asked_text,
     counting,
+    free_spaces,
+    greatest_lengths,
     language_of,
+    moves_enough,
     program_files,
     read_asked,
+    start_posture,
 )
-from planner.feedback.identify_robot_file import check_targets, robots_of, usable, write_measured
+from planner.feedback.identify_robot_file import (
+    check_targets,
+    controller_values,
+    robots_of,
+    usable,
+    write_controller,
+    write_measured,
+)
+from planner.feedback.identify_run import deviation_words, joint_lines, path_lines, planned_run, recorded_run
+from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem, load_problem
+from planner.problem.fields import LONGEST_NAME
+from planner.problem.rewrite import Value, write_changed
 from planner.toolpath.build import build_toolpath
 
 BY = "identify"  # whose files a folder of results lists
@@ -55,22 +78,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     say = partial(print, file=sys.stderr)
-    actions: dict[str, tuple[Callable[[], Command], Callable[[argparse.Namespace], int]]] = {
-        "write": (identify_write_command, _write),
-        "read": (identify_read_command, _read),
-    }
-    if given[:1] and given[0] in actions:
-        parser, run = actions[given[0]]
-        options = parser().parse_args(given[1:])
+    words = " ".join(given[:2]) if given[:1] == ["extruder"] else "".join(given[:1])
+    if words in ACTIONS:
+        parser, run = ACTIONS[words]
+        options = parser().parse_args(given[len(words.split()) :])
         return exit_code(lambda: run(options), say)
-    helps = bool(given) and given[0] in ("-h", "--help")
-    words = "\n".join(f"  {name:<6} {make().description}" for name, (make, _) in actions.items())
-    if helps:
-        print(f"usage: beadwise identify write|read …\n\n{words}\n\nbeadwise identify write --help tells more.")
+    about = "\n".join(f"  {name:<15} {make().description}" for name, (make, _) in ACTIONS.items())
+    if given and given[-1] in ("-h", "--help"):
+        print(
+            f"usage: beadwise identify {'|'.join(ACTIONS)} …\n\n{about}\n\nbeadwise identify write --help tells more."
+        )
         return EXIT_VERIFIED
-    near = nearest_name(given[0], actions) if given else None
+    near = nearest_name(words, ACTIONS) if given else None
     hint = f" (did you mean {near}?)" if near else ""
-    say(f"error: say whether to write a test program, or to read its recording{hint}\n{words}")
+    say(f"error: say whether to write a test program, or to read its recording{hint}\n{about}")
     return EXIT_INPUT
 
 
@@ -153,9 +174,10 @@ def identify_read_command() -> Command:
     parser = Command(
         "feedback.identify read",
         "Find limits of speed, acceleration and jerk, and the controller's delay, in the recording of a test program, and "
-        "write them into copies of the robots' files.",
+        "write them into copies of the robots' files; with --plan, how the robot has followed a plan's program.",
         {
             "run.csv cylinder_logo": "writes irb140_measured.yaml and irbp_a250_measured.yaml here",
+            "run.csv my_part.yaml --plan out/my_part": "how the robot followed the program of a plan",
             'run.csv my_part.yaml --columns "t_ms, J1_deg, J2_deg, J3_deg, J4_deg, J5_deg, J6_deg"': "a file without a header",
         },
         {
@@ -165,7 +187,9 @@ def identify_read_command() -> Command:
             130: "interrupted",
         },
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, see the page")
+    parser.add_argument(
+        "log", type=Path, metavar="LOG", help="the recording: CSV with time and joints, or a bag of ROS, see the page"
+    )
     _add_cell(parser)
     parser.add_argument(
         "--asked",
@@ -176,6 +200,12 @@ def identify_read_command() -> Command:
     parser.add_argument(
         "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
     )
+    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
+    parser.add_argument(
+        "--plan",
+        metavar="PLAN",
+        help="the recording is of this plan's own program, not of a test program: a folder of results, or a saved plan",
+    )
     parser.add_argument("--out", type=Path, default=Path(), metavar="DIR", help="folder of the copies (default: here)")
     return parser
 
@@ -183,21 +213,39 @@ def identify_read_command() -> Command:
 def _read(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     cell = build_cell(problem)
+    if options.plan is not None:
+        return _read_run(options, problem, cell)
     robots = robots_of(problem, cell)
     check_targets(robots, options.out)
     asked = read_asked(_asked_path(options, problem), problem, cell)
-    log = match(read_log(options.log, cell, options.columns), asked)
+    log = match(read_log(options.log, cell, options.columns, options.topic), asked)
     limits = cell.limits
     log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
     delays = {fit.joint: delay for fit in fits if (delay := fit_delay(log, asked, fit.joint)) is not None}
-    print(
-        "\n".join([*log.remarks, *_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays)])
-    )
+    told = [*_limit_lines(cell, fits), *_note_lines(problem, cell, fits), *_delay_lines(delays), *_off_lines(log, cell)]
+    print("\n".join([*log.remarks, *told]))
     if not any(usable(found) for fit in fits for found in fit.limits):
         print("no limit is told that is not in the robots' files: nothing written")
         return EXIT_NOT_VERIFIED
     written = write_measured(robots, fits, delays, options.log, options.out)
     print("\n".join([*map(str, written), "name them in the problem: cell.arm, cell.positioner.robot, cell.base.robot"]))
+    return EXIT_VERIFIED
+
+
+def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
+    """How a plan's program was followed."""
+    arm = robots_of(problem, cell)[0]
+    check_targets([arm], options.out)
+    run = planned_run(options.plan, problem, cell)
+    recorded = recorded_run(read_log(options.log, cell, options.columns, options.topic), run, cell)
+    found = findings(run.path, recorded.followed)
+    lines = path_lines(found, recorded, cell)
+    print("\n".join([*recorded.remarks, f"set beside {run.words}", *lines]))
+    if not controller_values(found):
+        print("nothing is told that forecasts use: no robot's file written")
+        return EXIT_VERIFIED
+    about = [line for line in lines if not line.startswith("  ")]
+    print(f"{write_controller(arm, found, about, options.log, options.out)}\nname it in the problem: cell.arm")
     return EXIT_VERIFIED
 
 
@@ -245,6 +293,17 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
                 out.append(
                     f"{name}: moves differ, {what} {found.spread[0]:.4g} to {found.spread[1]:.4g}; the least is taken"
                 )
+        if fit.averaged is not None:
+            time, error = fit.averaged
+            out.append(
+                f"{name} smooths its profile by a mean over {1e3 * time:.3g} ±{1e3 * error:.2g} ms: from rest it reaches any "
+                "acceleration in that time, and its jerk is one over the other"
+            )
+        if fit.either is not None:
+            out.append(
+                f"{name}: moves do not tell a limited jerk from a mean over a fixed time, with which it would be "
+                f"{fit.either:.4g}; the lesser is taken"
+            )
         if fit.residual > UNEXPLAINED * max(fit.noise, FLOOR):
             left, unit = (1e3 * fit.residual, "mm") if fit.joint in cell.limits.sliding else (
                 float(np.degrees(fit.residual)), "degrees"
@@ -273,6 +332,15 @@ def _delay_lines(delays: Mapping[int, JointDelay]) -> list[str]:
         f"joints follow their commands {1e3 * mean:.2f} ±{1e3 * error:.2f} ms late ({1e3 * totals.min():.2f} to "
         f"{1e3 * totals.max():.2f}): {1e3 * (mean - lag):.1f} ms of delay, then a lag of {1e3 * lag:.1f} ms"
     ]
+
+
+def _off_lines(log: MatchedLog, cell: Cell) -> list[str]:
+    """How far joints and tip leave the path of their commands, whatever the delay; nothing without commands."""
+    if log.commanded is None:
+        return []
+    part = slice(int(log.rests[0, 0]), int(log.rests[-1, 1]) + 1)
+    tip, joints = off_commands(log.time[part], log.executed[part], log.commanded[part], cell)
+    return [f"off the path of the commands: tip {deviation_words(tip)}", *joint_lines(joints, cell)]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -304,3 +372,197 @@ def _lengths(text: str) -> tuple[float, ...]:
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(","))
+
+
+# ----------------------------------------------------------------------------------------------------
+# The extruder's test line.
+
+
+def extruder_write_command() -> Command:
+    """The parser of `python -m planner.feedback.identify extruder write`."""
+    parser = Command(
+        "feedback.identify extruder write",
+        "Plan a line whose flow steps while the nozzle keeps its speed, to be cut and weighed, or looked at from above.",
+        {
+            "peer_cap": "in out/peer_cap_line, 240 mm along x around the part frame's origin",
+            'my_part.yaml --from "50, 0, 0.5" --to "50, 180, 0.5"': "between two places of the nozzle's tip in the part frame",
+        },
+        {
+            0: "verified plan of the line written",
+            2: "wrong input; nothing written",
+            3: "no verified plan",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument(
+        "problem", metavar="CELL", help="problem file (.yaml) with cell and process, or a shipped one's name"
+    )
+    for name, which in (("--from", "begins"), ("--to", "ends")):
+        parser.add_argument(
+            name,
+            type=_place,
+            metavar="X,Y,Z",
+            dest=f"line_{which}",
+            help=f"where the nozzle's tip {which} in the part frame [mm] (default: 240 mm along x around its origin, a bead's height up)",
+        )
+    parser.add_argument(
+        "--normal", type=_place, default=(0.0, 0.0, 1.0), metavar="X,Y,Z", help="out of the bed (default: 0,0,1)"
+    )
+    parser.add_argument(
+        "--bead", type=_bead, metavar="W,H", help="width and height of the bead [mm] (default: those of the problem)"
+    )
+    parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_line")
+    return parser
+
+
+def _write_line(options: argparse.Namespace) -> int:
+    """Write and plan a test line; returns the exit code."""
+    problem = load_problem(options.problem)
+    height = problem.process.bead.height if options.bead is None else options.bead[1] * 1e-3
+    begin, end = (
+        np.array(given) * 1e-3 if given is not None else np.array([side * 0.5 * LENGTH, 0.0, height])
+        for given, side in ((options.line_begins, -1.0), (options.line_ends, 1.0))
+    )
+    bead = None if options.bead is None else (1e-3 * options.bead[0], 1e-3 * options.bead[1])
+    normal, length = np.array(options.normal), float(np.linalg.norm(end - begin))
+    line = line_of(problem, length, bead)
+    if length < SHORTEST:
+        reason = f"the line is {1e3 * length:.3g} mm long"
+        raise InputError(
+            reason, field="--to", hint=f"at least {1e3 * SHORTEST:g} mm, so that the flow settles between steps"
+        )
+    if not np.linalg.norm(normal) > 0.0 or abs(normal @ (end - begin)) > 1e-3 * length * float(np.linalg.norm(normal)):
+        raise InputError("is not across the line", field="--normal", hint="out of the bed, for example 0,0,1")
+    name = f"{problem.name[: LONGEST_NAME - 5]}_line"
+    folder = options.out or Path("out") / f"{problem.name}_line"
+    with results_folder(folder, BY) as fresh:
+        files = {
+            f"{name}.txt": waypoints_text(line, begin, end, normal / np.linalg.norm(normal)),
+            f"{name}.yaml": problem_text(problem, line, name, folder),
+            f"{name}_asked.json": line_text(line),
+        }
+        for file, text in files.items():
+            (fresh / file).write_text(text, encoding="utf-8", newline="\n")
+    steps = ", ".join(f"{1e3 * at:g}" for at in line.ends[1:-1])
+    print(
+        f"a line of {1e3 * length:g} mm at {1e3 * line.speed:g} mm/s, whose flow steps at {steps} mm\n{folder / f'{name}_asked.json'}"
+    )
+    return solve_main([str(folder / f"{name}.yaml"), "--out", str(folder / "plan"), "--quiet"])
+
+
+def extruder_read_command() -> Command:
+    """The parser of `python -m planner.feedback.identify extruder read`."""
+    parser = Command(
+        "feedback.identify extruder read",
+        "Find the extruder's lag and how much it lays in a table of a test line: from_mm, to_mm, mass_mg of segments, or s_mm, "
+        "width_mm along it.",
+        {
+            "line.csv peer_cap --density 1.24": "prints what to put into the problem file",
+            "line.csv my_part.yaml --write my_part_measured.yaml": "writes a copy of it",
+        },
+        {
+            0: "found",
+            2: "wrong input; nothing written",
+            3: "the table tells nothing; nothing written",
+            130: "interrupted",
+        },
+    )
+    parser.add_argument("table", type=Path, metavar="TABLE", help="CSV file with places along the line in mm")
+    parser.add_argument(
+        "problem", metavar="CELL", help="problem file (.yaml) for which the line was written, or a shipped one's name"
+    )
+    parser.add_argument(
+        "--density",
+        type=_positive,
+        metavar="G_CM3",
+        help="of the material, without which masses do not tell how much is laid",
+    )
+    parser.add_argument(
+        "--asked",
+        type=Path,
+        metavar="FILE",
+        help="what the line asked (default: beside TABLE, or in out/<problem>_line)",
+    )
+    parser.add_argument(
+        "--write", type=Path, metavar="FILE", help="write a copy of the problem file with what was measured"
+    )
+    return parser
+
+
+def _read_line(options: argparse.Namespace) -> int:
+    """Read the table of a test line; returns the exit code."""
+    problem = load_problem(options.problem)
+    if options.write is not None and options.write.exists():
+        raise OutputError(f"{options.write} is there already, and stays as it is: choose another name")
+    line = read_asked_line(_asked_line_path(options, problem), problem)
+    density = None if options.density is None else 1e3 * options.density
+    found = fit_flow(read_table(options.table, line), line, density)
+    values = process_values(found, line, problem)
+    print("\n".join(flow_lines(found)))
+    if not values:
+        print("nothing is told that could be written")
+        return EXIT_NOT_VERIFIED
+    if options.write is None:
+        print(_section(values))
+        return EXIT_VERIFIED
+    write_changed(problem, values, options.write)
+    print(options.write)
+    return EXIT_VERIFIED
+
+
+def _section(values: dict[str, Value]) -> str:
+    """The lines of the problem file."""
+    out = ["process:"]
+    for field, value in values.items():
+        if field == "process.filament_diameter_mm":
+            out.append(f"  filament_diameter_mm: {value:g}   # as the extruder feeds it")
+        else:
+            lag = value["lag_s"] if isinstance(value, dict) else value
+            out.append(f"  extruder: {{lag_s: {lag:g}}}")
+    return "\n".join(out)
+
+
+def _asked_line_path(options: argparse.Namespace, problem: Problem) -> Path:
+    if options.asked is not None:
+        return Path(options.asked)
+    name = f"{problem.name[: LONGEST_NAME - 5]}_line_asked.json"
+    beside = options.table.parent / name
+    return Path(beside) if beside.is_file() else Path("out") / f"{problem.name}_line" / name
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers") from None
+    if not all(map(math.isfinite, (x, y, z))):
+        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers")
+    return x, y, z
+
+
+def _bead(text: str) -> tuple[float, float]:
+    try:
+        width, height = (float(word) for word in text.replace(",", " ").split())
+    except ValueError:
+        width = height = math.nan
+    if not (0.0 < width < 100.0 and 0.0 < height < 100.0):
+        raise argparse.ArgumentTypeError(f"{text!r} is no bead: width and height in mm")
+    return width, height
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < 30.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is no density in g/cm3")
+    return value
+
+
+ACTIONS: dict[str, tuple[Callable[[], Command], Callable[[argparse.Namespace], int]]] = {
+    "write": (identify_write_command, _write),
+    "read": (identify_read_command, _read),
+    "extruder write": (extruder_write_command, _write_line),
+    "extruder read": (extruder_read_command, _read_line),
+}

@@ -1,10 +1,12 @@
-"""Limits of a joint from its recorded moves: jerk-limited profiles, fitted by least squares rather than differentiated.
+"""Limits and delays of a joint from its recorded moves: profiles of both kinds, and its commands, are fitted to them by least
+squares, and nothing is differentiated.
 
 All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
 ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain more than
 chance would: braking as acceleration or not, a servo that lags or not (Schwarz, Estimating the dimension of a model,
-1978). Where one set of limits does not explain all moves, as with an arm whose drives have to do more in one posture than
-in another, each move is fitted by itself, and the least limits are told.
+1978); each with a limited jerk, and with a mean over a fixed time, of which the better one is told. Where one set of
+limits does not explain all moves, as with an arm whose drives have to do more in one posture than in another, each move
+is fitted by itself, and the least limits are told.
 """
 
 from __future__ import annotations
@@ -13,12 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
+from scipy.signal import lfilter
 
 from planner.base.arrays import Array, Flags, ReadOnlyArrays
 from planner.feedback.identify_match import MatchedLog
-from planner.feedback.identify_moves import AskedMoves
 from planner.feedback.identify_profile import MotionLimits, MoveProfile, move_profile
+from planner.feedback.identify_program import AskedMoves
 
 QUANTITIES = ("speed", "acceleration", "jerk")
 FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is no noise
@@ -37,8 +41,12 @@ PLATEAU = 0.15  # of the time in which an acceleration is reached that it is hel
 BELOW = 0.8  # of the acceleration that is reached, with which a search begins anew
 MOST_STEPS = 60  # of a search
 FINE = 1e-7  # share of the squares, or of the parameters, by which a step must change them, else a search is over
+LONGER = (2.0, 4.0)  # times the time of a mean, with which a search begins anew
+COARSE = 1e-5  # likewise, while models are compared: by far less than what one must be better by
 FACTORS = 2.0 ** np.arange(-4.0, 4.1)  # of the file's limits, at which the search may begin
 FIRST_LAGS = (0.003, 0.02)  # s, likewise
+EXPLAINED = 1.1  # times the noise's variance, up to which residuals are noise
+EVIDENT = 10.0  # by which the criteria of two kinds of profile differ at least where one of them is told
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,9 @@ class JointFit:
 
     residual   root mean square of what is left [rad, m];  noise: standard deviation at rest [rad, m]
     braking    acceleration and jerk of braking where they differ from those of speeding up, else None
+    averaged   the time [s] of a mean that smooths the profile, and its standard error, where the moves are such a mean and
+               the jerk is acceleration / time; None where the jerk is limited
+    either     the jerk as the other kind of profile has it, where the moves do not tell the kinds apart; the lesser is told
     """
 
     joint: int
@@ -94,6 +105,8 @@ class JointFit:
     residual: float
     noise: float
     moves: int
+    averaged: tuple[float, float] | None = None
+    either: float | None = None
 
     @property
     def limits(self) -> tuple[Identified, Identified, Identified]:
@@ -103,38 +116,50 @@ class JointFit:
 
 @dataclass(frozen=True)
 class _Model:
-    """Which parameters the moves of a joint share, after the speeds: logarithms."""
+    """Which parameters the moves of a joint share, after the speeds: logarithms of acceleration, jerk, those of braking (a
+    mean has one jerk and so one time for both), and the lag."""
 
+    averaged: bool
     braking: bool
     lag: bool
 
     @property
+    def sided(self) -> int:
+        """How many parameters braking has."""
+        return (1 if self.averaged else 2) if self.braking else 0
+
+    @property
     def size(self) -> int:
-        return 2 + 2 * self.braking + self.lag
+        return 2 + self.sided + self.lag
 
     def extends(self, other: _Model) -> bool:
         """Whether it has one thing more than another."""
         return (
-            self.braking >= other.braking
+            self.averaged == other.averaged
+            and self.braking >= other.braking
             and self.lag >= other.lag
-            and self.size > other.size
-            and (self.braking == other.braking or self.lag == other.lag)
+            and self.braking + self.lag == other.braking + other.lag + 1
         )
 
     def limits(self, shared: Array, level: int, levels: int) -> MotionLimits:
         own = np.exp(np.clip(shared, -30.0, 30.0))
         acceleration, jerk, *rest = own[levels:]
-        braking = rest[:2] if self.braking else [acceleration, jerk]
+        braking = rest[0] if self.braking else acceleration
+        # a mean takes as long to build up braking as acceleration
+        braking_jerk = braking * jerk / acceleration if self.averaged else rest[1] if self.braking else jerk
         return MotionLimits(
-            float(own[level]), float(acceleration), float(jerk), float(braking[0]), float(braking[1]),
-            float(rest[-1]) if self.lag else 0.0,
+            float(own[level]), float(acceleration), float(jerk), float(braking), float(braking_jerk),
+            float(rest[-1]) if self.lag else 0.0, self.averaged,
         )  # fmt: skip
 
 
-MODELS = tuple(_Model(braking, lag) for lag in (False, True) for braking in (False, True))
+MODELS = tuple(
+    _Model(averaged, braking, lag) for averaged in (False, True) for lag in (False, True) for braking in (False, True)
+)
+PLAIN, PLAIN_MEAN = MODELS[0], MODELS[4]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Solved:
     model: _Model
     shared: Array
@@ -142,6 +167,28 @@ class _Solved:
     errors: Array  # standard errors of the shared parameters
     squares: float  # sum of squared residuals, in the noise's variance
     count: int
+
+    @property
+    def differ(self) -> bool:
+        """Whether so much is left that moves may have limits of their own."""
+        return self.squares > DIFFER * self.count
+
+    @property
+    def limits(self) -> MotionLimits:
+        """Those at full speed."""
+        return self.model.limits(self.shared, 0, self.levels)
+
+    @property
+    def levels(self) -> int:
+        """How many speeds there are."""
+        return len(self.shared) - self.model.size
+
+    @property
+    def side_errors(self) -> tuple[Array, Array]:
+        """Standard errors of the logarithms of acceleration and jerk (1 each, or 2 with braking)."""
+        acceleration, jerk, *braking = self.errors[self.levels : self.levels + 2 + self.model.sided]
+        rates = [acceleration, *braking[:1]]
+        return np.array(rates), np.array([jerk, *(braking[1:] or [jerk][: len(braking)])])
 
     @property
     def criterion(self) -> float:
@@ -195,8 +242,20 @@ def fit_joint(log: MatchedLog, asked: AskedMoves, joint: int, first_guess: tuple
     commanded = log.commanded is not None and own_profile
     moves = samples_of(log, asked, joint, commanded)
     noise = FLOOR if commanded else max(float(log.noise[joint]), FLOOR)
-    solved = _solve_all(moves, noise, first_guess, lags=not commanded)
-    return _told(solved, moves, noise, float(log.noise[joint]), joint, asked)
+    kinds = _solve_all(moves, noise, first_guess, lags=not commanded)
+    kinds = tuple(_solve(each.model, moves, noise, each.shared, each.instants) for each in kinds)
+    solved, other = sorted(kinds, key=lambda each: each.criterion)
+    evident, own = other.criterion - solved.criterion > EVIDENT, None
+    if solved.differ:
+        # what limits that differ leave says nothing about the kind: what they leave move by move does
+        found = {each: _by_move(each, moves, noise) for each in kinds}
+        solved, evident = min(kinds, key=lambda each: found[each].left), True
+        own = found[solved]
+    elif not evident:
+        # noise decides which is better: the lesser jerk is safe
+        solved, other = sorted(kinds, key=lambda each: each.limits.jerk)
+    fit = _told(solved, own, moves, noise, float(log.noise[joint]), joint, asked)
+    return fit if evident else replace(fit, either=other.limits.jerk)
 
 
 def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) -> list[MoveSamples]:
@@ -222,39 +281,55 @@ def samples_of(log: MatchedLog, asked: AskedMoves, joint: int, commanded: bool) 
 
 def _solve_all(
     moves: Sequence[MoveSamples], noise: float, first_guess: tuple[float, float, float], lags: bool
-) -> _Solved:
-    """The best of the models."""
+) -> tuple[_Solved, ...]:
+    """The best models: of limited jerk, and of a mean."""
     shares = sorted({move.share for move in moves}, reverse=True)
     speeds = np.log([_quickest(moves, share) for share in shares])
     instants = np.array([_half_way(move) for move in moves])
     start = _start(moves, noise, speeds, instants, first_guess)
-    plain = _solve(MODELS[0], moves, noise, start, instants)
+    plain = _solve(PLAIN, moves, noise, start, instants, COARSE)
     levels = len(shares)
-    tops = [_profile(MODELS[0], plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
+    tops = [_profile(PLAIN, plain.shared, levels, m, k) for m, k in zip(moves, _levels(moves), strict=True)]
     if not any(_reached(profile)[1] for profile in tops):
         # an acceleration that no move reaches changes nothing, so the search cannot leave it: begin below what is reached
         again = plain.shared.copy()
         again[levels] = np.log(BELOW * max(profile.top_acceleration for profile in tops))
-        plain = min(plain, _solve(MODELS[0], moves, noise, again, plain.instants), key=lambda each: each.criterion)
-    best, tried = plain, [MODELS[0]]
+        plain = min(plain, _solve(PLAIN, moves, noise, again, plain.instants, COARSE), key=lambda each: each.criterion)
+    mean = _solve(PLAIN_MEAN, moves, noise, plain.shared, plain.instants, COARSE)
+    if mean.squares > EXPLAINED * mean.count:
+        # a time that is too short changes nothing any more: begin with longer ones as well
+        longer = [plain.shared - np.log(factor) * (np.arange(len(plain.shared)) == levels + 1) for factor in LONGER]
+        tries = (_solve(PLAIN_MEAN, moves, noise, begin, plain.instants, COARSE) for begin in longer)
+        mean = min(mean, *tries, key=lambda each: each.criterion)
+    kinds = []
+    for own, other in ((plain, mean), (mean, plain)):
+        # where the other kind leaves nothing but noise as it is, only a lag could make this one as good
+        explained = other.squares < EXPLAINED * other.count and other.criterion < own.criterion
+        among = [model for model in MODELS if (lags or not model.lag) and not (explained and model.braking)]
+        kinds.append(_extended(own, moves, noise, among))
+    return tuple(kinds)
+
+
+def _extended(best: _Solved, moves: Sequence[MoveSamples], noise: float, among: Sequence[_Model]) -> _Solved:
+    """The best of the models that have more than a plain one."""
+    tried = [best.model]
     while True:
-        more = [
-            model for model in MODELS if model not in tried and model.extends(best.model) and (lags or not model.lag)
-        ]
+        more = [model for model in among if model not in tried and model.extends(best.model)]
         if not more:
             return best
         tried += more
-        found = [_from(best, model, moves, noise, len(shares)) for model in more]
+        found = [_from(best, model, moves, noise) for model in more]
         better = min(found, key=lambda each: each.criterion)
         if better.criterion >= best.criterion:
             return best
         best = better
 
 
-def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: float, levels: int) -> _Solved:
+def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: float) -> _Solved:
     """A model's solution, begun from that of one which it extends."""
+    levels = before.levels
     speeds, (acceleration, jerk, *rest) = before.shared[:levels], before.shared[levels:]
-    braking = (rest[:2] if before.model.braking else [acceleration, jerk]) if model.braking else []
+    braking = rest[: before.model.sided] or [acceleration, jerk][: model.sided]
     found = []
     for lag in FIRST_LAGS if model.lag and not before.model.lag else (None,):
         own = [acceleration, jerk, *braking]
@@ -262,7 +337,7 @@ def _from(before: _Solved, model: _Model, moves: Sequence[MoveSamples], noise: f
             # a lag that was not modelled has been taken for a lesser jerk
             own[1::2] = [value + np.log(2.0) for value in own[1::2]]
         last = [] if not model.lag else [rest[-1] if lag is None else np.log(lag)]
-        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants))
+        found.append(_solve(model, moves, noise, np.array([*speeds, *own, *last]), before.instants, COARSE))
     return min(found, key=lambda each: each.criterion)
 
 
@@ -295,7 +370,7 @@ def _start(
         for jerk in first_guess[2] * FACTORS:
             trial = np.append(speeds, np.log([acceleration, jerk]))
             squares = sum(
-                float((_off(MODELS[0], trial, len(speeds), move, level, at) ** 2).sum())
+                float((_off(PLAIN, trial, len(speeds), move, level, at) ** 2).sum())
                 for move, level, at in zip(moves, _levels(moves), instants, strict=True)
             )
             if squares < best:
@@ -319,7 +394,9 @@ def _off(model: _Model, shared: Array, levels: int, move: MoveSamples, level: in
     return profile.at(move.time - (at - 0.5 * profile.total - profile.lag)) - move.way
 
 
-def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array) -> _Solved:
+def _solve(
+    model: _Model, moves: Sequence[MoveSamples], noise: float, start: Array, instants: Array, fine: float = FINE
+) -> _Solved:
     level, levels = _levels(moves), len(start) - model.size
     begins = np.concatenate([np.zeros(1, dtype=np.int64), np.cumsum([len(move.time) for move in moves])])
     n, count = len(start), int(begins[-1])
@@ -334,18 +411,20 @@ def _solve(model: _Model, moves: Sequence[MoveSamples], noise: float, start: Arr
     def slopes(x: Array) -> Array:
         out = np.zeros((count + n, len(x)))
         here = residuals(x)
-        for i in range(n):
-            step = x.copy()
-            step[i] += STEP
-            out[:, i] = (residuals(step) - here) / STEP
+        out[count:, :n] = np.eye(n) / VAGUE
         for k, (move, own) in enumerate(zip(moves, level, strict=True)):
             part = slice(begins[k], begins[k + 1])
+            # of the speeds a move has only its own
+            for i in (own, *range(levels, n)):
+                step = x[:n].copy()
+                step[i] += STEP
+                out[part, i] = (_off(model, step, levels, move, own, x[n + k]) / noise - here[part]) / STEP
             later = _off(model, x[:n], levels, move, own, x[n + k] + INSTANT) / noise
             out[part, n + k] = (later - here[part]) / INSTANT
         return out
 
     found = least_squares(
-        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=FINE, xtol=FINE
+        residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=fine, xtol=fine
     )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1)) * _repeated(found.fun[:count])
@@ -373,46 +452,52 @@ def _errors(jacobian: Array, scale: float) -> Array:
 
 
 def _told(
-    solved: _Solved, moves: Sequence[MoveSamples], noise: float, at_rest: float, joint: int, asked: AskedMoves
+    solved: _Solved,
+    own: _MovesAlone | None,
+    moves: Sequence[MoveSamples],
+    noise: float,
+    at_rest: float,
+    joint: int,
+    asked: AskedMoves,
 ) -> JointFit:
-    levels = len(solved.shared) - solved.model.size
-    level = _levels(moves)
-    limits = solved.model.limits(solved.shared, 0, levels)
+    model, limits = solved.model, solved.limits
     profiles = [
-        _profile(solved.model, solved.shared, levels, move, own) for move, own in zip(moves, level, strict=True)
+        _profile(model, solved.shared, solved.levels, move, level)
+        for move, level in zip(moves, _levels(moves), strict=True)
     ]
-    own = [None if values is None else float(values[joint]) for values in asked.asked]
+    set_by_program = [None if values is None else float(values[joint]) for values in asked.asked]
     shares = np.array([move.share for move in moves])
     ends = np.array([_reached(profile) for profile in profiles])
     speed = _limit(
         np.array([limits.speed]), solved.errors[:1], np.array([ends[shares == shares.max(), 0].any()]),
-        max(profile.top_speed for profile in profiles), own[0],
+        max(profile.top_speed for profile in profiles), set_by_program[0],
     )  # fmt: skip
-    sides = 1 + solved.model.braking
+    sides = 1 + model.braking
     tops = max(max(profile.top_acceleration, profile.top_braking) for profile in profiles)
     rates = np.array([limits.acceleration, limits.braking])[:sides]
-    errors = solved.errors[levels:]
-    acceleration = _limit(
-        rates, errors[0 : 2 * sides : 2], np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, own[1]
-    )
+    rate_errors, jerk_errors = solved.side_errors
+    acceleration = _limit(rates, rate_errors, np.asarray(ends[:, 1 : 1 + sides].any(axis=0)), tops, set_by_program[1])
     jerks = np.array([limits.jerk, limits.braking_jerk])[:sides]
     # a jerk that is not told is greater than that with 95 % confidence
-    least = float((jerks * np.exp(-2.0 * errors[1 : 2 * sides : 2])).min())
-    jerk = _limit(jerks, errors[1 : 2 * sides : 2], np.ones(sides, dtype=np.bool_), least, own[2])
+    least = float((jerks * np.exp(-2.0 * jerk_errors)).min())
+    jerk = _limit(jerks, jerk_errors, np.ones(sides, dtype=np.bool_), least, set_by_program[2])
     residual = noise * float(np.sqrt(solved.squares / solved.count))
-    differ, lag = solved.squares > DIFFER * solved.count, limits.lag
-    if differ:
-        (speed, acceleration, jerk), lag = _by_move(solved, moves, noise, (speed, acceleration, jerk))
+    if own is not None:
+        speed, acceleration, jerk = (
+            _least(values, shared) for values, shared in zip(own.limits, (speed, acceleration, jerk), strict=True)
+        )
+    time = limits.acceleration / limits.jerk
     return JointFit(
         joint=joint,
         speed=speed,
         acceleration=acceleration,
         jerk=jerk,
-        braking=(limits.braking, limits.braking_jerk) if solved.model.braking and not differ else None,
-        lag=lag,
+        braking=(limits.braking, limits.braking_jerk) if model.braking and own is None else None,
+        lag=limits.lag if own is None else own.lag,
         residual=residual,
         noise=at_rest,
         moves=len(moves),
+        averaged=(time, time * float(np.hypot(rate_errors[0], jerk_errors[0]))) if model.averaged else None,
     )
 
 
@@ -421,8 +506,7 @@ def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
 
     At the edge noise decides: a limit just below what is reached without it explains a recording as well.
     """
-    rising, up, _, cruise, falling, down, _ = profile.duration.tolist()
-    return cruise > CRUISE * profile.total, up > PLATEAU * rising, down > PLATEAU * falling
+    return profile.cruise > CRUISE * profile.total, profile.held[0] > PLATEAU, profile.held[1] > PLATEAU
 
 
 def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> Identified:
@@ -435,22 +519,31 @@ def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: floa
     return Identified(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
 
 
-def _by_move(
-    solved: _Solved, moves: Sequence[MoveSamples], noise: float, shared: tuple[Identified, Identified, Identified]
-) -> tuple[tuple[Identified, Identified, Identified], float]:
-    """Speed, acceleration and jerk where one set does not explain all moves, from those that explain themselves; and lag."""
-    levels = len(solved.shared) - solved.model.size
+@dataclass(frozen=True)
+class _MovesAlone:
+    """Moves that were fitted one by one: of speed, acceleration and jerk those that are known, with the standard errors of
+    their logarithms; the lag of all [s], and what is left of them, in the noise's variance."""
+
+    limits: tuple[list[tuple[float, float]], ...]
+    lag: float
+    left: float
+
+
+def _by_move(solved: _Solved, moves: Sequence[MoveSamples], noise: float) -> _MovesAlone:
+    """Moves by themselves, where one set of limits does not explain all of them."""
+    levels, averaged = solved.levels, solved.model.averaged
     starts = [np.append(solved.shared[own], solved.shared[levels : levels + 2]) for own in _levels(moves)]
     # the lag that was found for all moves may only have hidden that they differ
     alone = {
         lag: [
-            _solve_one(move, noise, start, float(at), lag)
+            _solve_one(move, noise, start, float(at), (lag, averaged))
             for move, start, at in zip(moves, starts, solved.instants, strict=True)
         ]
-        for lag in (0.0, solved.model.limits(solved.shared, 0, levels).lag)
+        for lag in (0.0, solved.limits.lag)
     }
-    lag = min(alone, key=lambda each: sum(scale for _, _, scale in alone[each]))
-    found: list[list[tuple[float, float]]] = [[], [], []]
+    left = {lag: sum(scale for _, _, scale in each) for lag, each in alone.items()}
+    lag = min(left, key=lambda each: left[each])
+    found: tuple[list[tuple[float, float]], ...] = ([], [], [])
     for move, own, (limits, errors, _) in zip(moves, _levels(moves), alone[lag], strict=True):
         cruises, speeds_up, brakes = _reached(move_profile(move.distance, limits))
         shown = (cruises and own == 0, speeds_up and brakes, True)
@@ -458,7 +551,7 @@ def _by_move(
         for values, value, error, is_shown in zip(found, of_move, errors.tolist(), shown, strict=True):
             if is_shown and error < KNOWN:
                 values.append((value, error))
-    return (_least(found[0], shared[0]), _least(found[1], shared[1]), _least(found[2], shared[2])), lag
+    return _MovesAlone(found, lag, left[lag])
 
 
 def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
@@ -480,14 +573,15 @@ def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identifi
 
 
 def _solve_one(
-    move: MoveSamples, noise: float, start: Array, at: float, lag: float
+    move: MoveSamples, noise: float, start: Array, at: float, kind: tuple[float, bool]
 ) -> tuple[MotionLimits, Array, float]:
     """Limits of one move by itself, near those (3) of all moves, the standard errors (3) of their logarithms, and the
-    variance of what is left, in that of the noise."""
+    variance of what is left, in that of the noise. kind: lag [s], and whether it is a mean."""
+    lag = kind[0]
 
     def limits(x: Array) -> MotionLimits:
         speed, acceleration, jerk = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
-        return MotionLimits(speed, acceleration, jerk, acceleration, jerk, lag)
+        return MotionLimits(speed, acceleration, jerk, acceleration, jerk, *kind)
 
     def residuals(x: Array) -> Array:
         profile = move_profile(move.distance, limits(x))
@@ -500,3 +594,102 @@ def _solve_one(
     left = found.fun[: len(move.time)]
     scale = max(1.0, float(left @ left) / max(len(left) - 4, 1))
     return limits(found.x), _errors(found.jac, scale * _repeated(left))[:3], scale
+
+
+# ----------------------------------------------------------------------------------------------------
+# How late joints follow their commands: a pure delay and a first-order lag.
+
+GRID = 0.5e-3  # s at which commands are filtered: a fraction of any controller's cycle
+LONGEST = 0.25  # s of delay that is looked for; longer ones reach into the rest before
+EARLIEST = -0.02  # s: stamps of the two may be taken at other instants of a cycle
+FIRST_DELAYS = np.arange(EARLIEST, LONGEST, 4e-3)  # s at which the search may begin
+FIRST_DELAY_LAGS = (1e-3, 0.01, 0.03)  # s, likewise
+SHORTEST_LAG = 1e-4  # s: less is none
+
+
+@dataclass(frozen=True)
+class JointDelay:
+    """By how much a joint follows its commands late.
+
+    delay, lag   pure delay and time constant of a first-order lag [s], and their standard errors
+    total        of both [s]: by so much it is late at a steady speed
+    """
+
+    joint: int
+    delay: float
+    delay_error: float
+    lag: float
+    lag_error: float
+    total: float
+    total_error: float
+
+
+@dataclass(frozen=True)
+class FollowedMove(ReadOnlyArrays):
+    """Commands on an even grid (g) from `start` on [s], and where the joint was at times (m), both from the move's start."""
+
+    start: float
+    commands: Array
+    time: Array
+    executed: Array
+
+    def modelled(self, delay: float, lag: float) -> Array:
+        """Where the joint is (m) with a delay and a lag [s]."""
+        followed = self.commands
+        if lag > SHORTEST_LAG:
+            # exact for commands that are straight from one grid point to the next
+            fading = np.exp(-GRID / lag)
+            first = 1.0 - lag / GRID * (1.0 - fading)
+            followed = lfilter([first, 1.0 - fading - first], [1.0, -fading], self.commands)
+        grid = self.start + GRID * np.arange(len(followed))
+        return np.interp(self.time - delay, grid, followed)
+
+
+def fit_delay(log: MatchedLog, asked: AskedMoves, joint: int) -> JointDelay | None:
+    """How late a joint follows its commands; None where the recording has no commands."""
+    if log.commanded is None:
+        return None
+    moves = [_followed(log, log.commanded, k, joint) for k, move in enumerate(asked.moves) if move.joint == joint]
+    noise = max(float(log.noise[joint]), FLOOR)
+    begin = min(FIRST_DELAYS, key=lambda delay: _squares(moves, float(delay), 0.0))
+    found = min(
+        (_solve_delay(moves, noise, np.array([max(begin - lag, EARLIEST + 1e-6), lag])) for lag in FIRST_DELAY_LAGS),
+        key=lambda each: float(each[2]),
+    )
+    x, covariance, _ = found
+    return JointDelay(
+        joint=joint,
+        delay=float(x[0]),
+        delay_error=float(np.sqrt(covariance[0, 0])),
+        lag=float(x[1]),
+        lag_error=float(np.sqrt(covariance[1, 1])),
+        total=float(x.sum()),
+        total_error=float(np.sqrt(max(covariance.sum(), 0.0))),
+    )
+
+
+def _followed(log: MatchedLog, commanded: Array, k: int, joint: int) -> FollowedMove:
+    (first, last), (next_first, next_last) = log.rests[k].tolist(), log.rests[k + 1].tolist()
+    part = slice(first, next_last + 1)
+    time, told, done = log.time[part] - log.time[first], commanded[part, joint], log.executed[part, joint]
+    told, done = told - told[: last - first + 1].mean(), done - done[: last - first + 1].mean()
+    grid = np.arange(0.0, time[-1], GRID)
+    seen = slice(last - first, next_first - first + 1)
+    return FollowedMove(0.0, np.asarray(CubicSpline(time, told)(grid)), time[seen], done[seen])
+
+
+def _squares(moves: Sequence[FollowedMove], delay: float, lag: float) -> float:
+    return sum(float(((move.modelled(delay, lag) - move.executed) ** 2).sum()) for move in moves)
+
+
+def _solve_delay(moves: Sequence[FollowedMove], noise: float, start: Array) -> tuple[Array, Array, float]:
+    """Delay and lag (2), their covariance (2, 2), and the sum of squares in the noise's variance."""
+
+    def residuals(x: Array) -> Array:
+        return np.concatenate([(move.modelled(x[0], x[1]) - move.executed) / noise for move in moves])
+
+    bounds = ([EARLIEST, 0.0], [LONGEST, LONGEST])
+    found = least_squares(residuals, start, bounds=bounds, x_scale=[1e-3, 1e-3], diff_step=1e-3, max_nfev=60)
+    squares = float((found.fun**2).sum())
+    scale = max(1.0, squares / max(len(found.fun) - 2, 1))
+    return found.x, np.linalg.pinv(found.jac.T @ found.jac) * scale, squares

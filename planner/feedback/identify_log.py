@@ -1,4 +1,4 @@
-"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them."""
+"""Recordings of a robot's joints: CSV files as controllers, their interfaces and ROS's tools write them, and bags of ROS."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 from planner.cell.cell import Cell
+from planner.feedback.identify_bag import BagTable, is_bag, read_bag
 
 LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
 LEAST_SAMPLES = 50
@@ -87,12 +88,17 @@ class LogColumn:
     external: bool = False
 
 
-def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> RobotLog:
+def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic: str | None = None) -> RobotLog:
     """Read a recording of this cell's joints.
 
     columns   names of the columns, of a file without a header; others than those of times and joints are not read
-    Raises InputError with file, line and column for whatever cannot be read, and for a clock that does not run on.
+    topic     of the executed joints in a bag of ROS, where it has several
+    Raises InputError with file, line (in a bag the number of a message) and column for whatever cannot be read, and for a
+    clock that does not run on.
     """
+    if is_bag(file):
+        return _of_bag(file, read_bag(file, cell, topic), cell)
+    _check_kind(file)
     lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
     rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
     if not rows:
@@ -102,6 +108,8 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> Ro
         line, head = rows.pop(0)
         wrong = partial(InputError, file=file, line=line)
         words = _split(head, separator, wrong)
+        if (other := _other_table(words, [_split(text, separator, wrong) for _, text in rows[:20]])) is not None:
+            raise wrong(other, hint=RECORDING)
         if all(_is_number(word) for word in words):
             raise wrong("a header that names the columns is missing", hint=f"--columns names them: {SPELLINGS}")
     else:
@@ -112,6 +120,14 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None) -> Ro
     table = _numbers(file, rows, separator, [*clocks, *places.values()])
     numbers = np.array([i for i, _ in rows], dtype=np.int64)
     return _running_on(_log(file, numbers, table, clocks, places))
+
+
+def _of_bag(file: Path, bag: BagTable, cell: Cell) -> RobotLog:
+    clocks, places = _wanted(bag.names, cell, partial(InputError, file=file))
+    if len(bag.numbers) < LEAST_SAMPLES:
+        raise InputError(f"holds {len(bag.numbers)} samples", file=file, hint=f"at least {LEAST_SAMPLES}")
+    columns = [*clocks, *places.values()]
+    return _running_on(_log(file, bag.messages, bag.numbers[:, [column.k for column in columns]], clocks, places))
 
 
 def _log(
@@ -177,6 +193,53 @@ def _running_on(log: RobotLog) -> RobotLog:
     kept = np.append(True, ~still)
     commanded = None if log.commanded is None else log.commanded[kept]
     return replace(log, lines=log.lines[kept], time=log.time[kept], executed=log.executed[kept], commanded=commanded)
+
+
+# ----------------------------------------------------------------------------------------------------
+# Files of another kind, told by what they are.
+
+RECORDING = "a recording has time and joints"
+CLOUD = "looks like a cloud of points, which `beadwise scan` reads"
+_BEGINS = {b"ply": CLOUD, b"# .PCD": CLOUD, b"\x93NUMPY": CLOUD, b"PK": CLOUD, b"LASF": CLOUD, b"solid": "is a mesh"}
+_ENDINGS = {
+    **dict.fromkeys((".ply", ".pcd", ".xyz", ".pts", ".asc", ".npy", ".npz", ".las", ".e57"), CLOUD),
+    **dict.fromkeys((".stl", ".obj", ".3mf", ".step", ".stp"), "is a shape"),
+    **dict.fromkeys((".mod", ".pgf", ".src", ".dat", ".script", ".ls", ".jbi", ".gcode", ".ngc"), "is a program"),
+    **dict.fromkeys((".json", ".html", ".yaml", ".yml"), "is no table"),
+}  # fmt: skip
+_PLACES = {"x", "y", "z"}
+_PLANNED = {"t_s", "bead", "layer", "deposit"}  # columns of trajectory.csv
+
+
+def _check_kind(file: Path) -> None:
+    """Raises InputError for a file that is of another kind by its first bytes, or its ending."""
+    if not file.is_file():
+        return
+    try:
+        with file.open("rb") as stream:
+            begins = stream.read(8)
+    except OSError:
+        return  # told where the file is read
+    kind = next((kind for mark, kind in _BEGINS.items() if begins.startswith(mark)), None)
+    kind = kind or _ENDINGS.get(file.suffix.lower())
+    if kind is not None and begins:
+        raise InputError(kind, file=file, hint=RECORDING)
+
+
+def _other_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str | None:
+    """What a table is instead of a recording, by its first line and some more; None where it may be one."""
+    names = {re.sub(r"[^a-z_]|_?(mm|m)[])]?$", "", word.strip().lower()) for word in head}
+    if names >= _PLANNED:
+        return "is the trajectory of a plan, and not what a robot did"
+    if names >= _PLACES and not names & (TIMES | {"joint_1", "q", "j"}):
+        return CLOUD
+    table = [[float(word) for word in row] for row in (head, *rows) if all(map(_is_number, row))]
+    if len(table) < 2 or len(table) < len(rows) or {len(row) for row in table} - {3, 6}:
+        return None
+    if len(table[0]) == 3:
+        return CLOUD
+    normals = np.linalg.norm(np.array(table)[:, 3:], axis=1)
+    return f"{CLOUD}: with normals" if (np.abs(normals - 1.0) < 1e-2).all() else None
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import numpy as np
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.errors import InputError
 from planner.feedback.identify_log import RobotLog
-from planner.feedback.identify_moves import AskedMoves
+from planner.feedback.identify_program import AskedMoves
 
 SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
 LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
@@ -73,8 +73,10 @@ def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
     if log.step > SLOWEST:
         hint = f"at least one every {1e3 * SLOWEST:g} ms"
         raise InputError(f"too few samples: one every {1e3 * log.step:.3g} ms", file=log.file, hint=hint)
-    readings = list(_readings(log, asked))
-    tried = [(reading, log.executed * reading.scale + reading.offset) for reading in readings]
+    tried = [
+        (reading, log.executed * reading.scale + reading.offset)
+        for reading in readings(log, asked.sliding, asked.signs, asked.offsets)
+    ]
     for reading, q in tried:
         rests = find_rests(log.time, q, asked)
         if (first := _aligned(rests, asked)) is not None:
@@ -134,10 +136,11 @@ def _tolerances(asked: AskedMoves, pair: tuple[float, float]) -> Array:
     return np.where(np.isin(np.arange(len(asked.start)), asked.sliding), pair[1], pair[0])
 
 
-def _readings(log: RobotLog, asked: AskedMoves) -> Iterator[LogReading]:
-    """The ways in which a file's numbers may be meant: units that it does not say, joints as the controller counts them."""
-    n, slides = len(asked.start), np.isin(np.arange(len(asked.start)), asked.sliding)
-    controllers = not (np.all(asked.signs == 1.0) and np.all(asked.offsets == 0.0))
+def readings(log: RobotLog, sliding: tuple[int, ...], signs: Array, offsets: Array) -> Iterator[LogReading]:
+    """The ways in which a file's numbers may be meant: units that it does not say, joints as the controller counts them,
+    which has signs * q + offsets (n each) [rad, m]."""
+    n, slides = len(signs), np.isin(np.arange(len(signs)), sliding)
+    controllers = not (np.all(signs == 1.0) and np.all(offsets == 0.0))
     unsaid = np.isnan(log.unit)
     for degrees in (True, False) if unsaid.any() else (True,):
         usual = np.where(slides, 1e-3 if degrees else 1.0, DEGREE if degrees else 1.0)
@@ -146,7 +149,7 @@ def _readings(log: RobotLog, asked: AskedMoves) -> Iterator[LogReading]:
         yield LogReading(scale, np.zeros(n), (said,) if said else ())
         if controllers:
             words = "joints are counted as the controller does"
-            yield LogReading(asked.signs * scale, -asked.signs * asked.offsets, (said, words) if said else (words,))
+            yield LogReading(signs * scale, -signs * offsets, (said, words) if said else (words,))
 
 
 def _aligned(rests: RecordedRests, asked: AskedMoves) -> int | None:
@@ -164,7 +167,7 @@ def _cut(rests: RecordedRests, first: int, count: int) -> tuple[Ints, Array]:
 def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, rests: RecordedRests) -> MatchedLog:
     middles = [_middle(first, last) for first, last in rests.ends]
     first, last = int(rests.ends[0, 0]), int(rests.ends[-1, 1])
-    _check_clock(log, middles[0].start, middles[-1].stop)
+    check_clock(log, middles[0].start, middles[-1].stop)
     quiet = np.concatenate([q[each] - q[each].mean(axis=0) for each in middles])
     spare = len(quiet) - len(middles)
     noise = np.sqrt((quiet**2).sum(axis=0) / max(spare, 1))
@@ -184,7 +187,8 @@ def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, re
     )
 
 
-def _check_clock(log: RobotLog, first: int, last: int) -> None:
+def check_clock(log: RobotLog, first: int, last: int) -> None:
+    """Raises InputError where samples are missing between two of them, or the clock jumps."""
     steps = np.diff(log.time[first:last])
     gaps = np.flatnonzero(steps > GAP * log.step)
     if len(gaps):
@@ -199,7 +203,7 @@ def _check_clock(log: RobotLog, first: int, last: int) -> None:
 
 
 def _check_alone(log: RobotLog, asked: AskedMoves, q: Array, middles: list[slice], stray: Array) -> None:
-    """That only the joint moves that was asked to."""
+    """Raises InputError where another joint moves than the one that was asked to."""
     for move, before, after in zip(asked.moves, middles, middles[1:], strict=False):
         part = q[before.start : after.stop]
         away = np.abs(part - part[0])

@@ -1,11 +1,15 @@
-"""A move of one joint from rest to rest under limits of speed, acceleration and jerk: seven segments, each a cubic.
+"""A move of one joint from rest to rest: seven segments in a row, each a cubic, as two kinds of controllers make it.
 
-Acceleration and braking have limits of their own, as drives have that gravity or a regenerative bus treats differently.
+Limited jerk: the acceleration is built up at a constant jerk, and in short moves not all of it. Mean over a fixed time: a
+profile with limits of speed and acceleration alone goes through a moving mean; whatever the acceleration, it is then built
+up in that time. Acceleration and braking have limits of their own, as drives have that gravity or a regenerative bus
+treats differently.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +23,8 @@ from planner.base.arrays import Array, Indices
 class MotionLimits:
     """Greatest speed [rad/s], acceleration and its jerk [rad/s², rad/s³], and those of braking; metres where it slides.
 
+    averaged  the profile is one without a jerk limit, smoothed by a mean over acceleration / jerk [s]; the jerk is that
+              from rest, and braking is smoothed by the same mean
     lag [s]   time constant of a servo that follows the profile late, as a first-order system; 0: it follows at once
     """
 
@@ -28,6 +34,7 @@ class MotionLimits:
     braking: float
     braking_jerk: float
     lag: float = 0.0
+    averaged: bool = False
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,8 @@ class MoveProfile:
     start (7), duration (7) [s];  coefficients (7, 4) of q = c0 + c1 t + c2 t² + c3 t³, t from the segment's start
     follower (7)   where the lagging servo is at each start, where there is a lag [rad]
     end            where profile and servo are at the end [rad]
+    cruise         how long the greatest speed is held [s]
+    held           how long the greatest acceleration, and braking, are held, over the time in which they are reached
     """
 
     start: Array
@@ -45,6 +54,8 @@ class MoveProfile:
     follower: Array
     lag: float
     end: tuple[float, float]
+    cruise: float
+    held: tuple[float, float]
 
     @property
     def total(self) -> float:
@@ -53,18 +64,22 @@ class MoveProfile:
 
     @property
     def top_speed(self) -> float:
-        """Speed at the middle of the move [rad/s]."""
-        return float(self.coefficients[3, 1])
+        """Greatest speed [rad/s]."""
+        # within the segment in which the acceleration turns over, or at an end of it
+        _, v, half_a, sixth_j = self.coefficients.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turns = np.clip(np.nan_to_num(-half_a / (3.0 * sixth_j)), 0.0, self.duration)
+        return float((v + turns * (2.0 * half_a + 3.0 * turns * sixth_j)).max())
 
     @property
     def top_acceleration(self) -> float:
         """Greatest acceleration [rad/s²]."""
-        return float(2.0 * self.coefficients[1, 2])
+        return float(2.0 * self.coefficients[:, 2].max())
 
     @property
     def top_braking(self) -> float:
         """Greatest deceleration [rad/s²]."""
-        return float(-2.0 * self.coefficients[5, 2])
+        return float(-2.0 * self.coefficients[:, 2].min())
 
     def at(self, t: Array) -> Array:
         """Positions (m) [rad] at times (m) [s] of the servo; at rest before the start, and behind the end."""
@@ -101,29 +116,62 @@ class MoveProfile:
 
 
 def move_profile(distance: float, limits: MotionLimits) -> MoveProfile:
-    """The quickest move over a distance > 0 [rad] under limits."""
+    """The quickest move over a distance > 0 [rad] under limits, or the mean of the quickest one."""
+    return _averaged(distance, limits) if limits.averaged else _limited(distance, limits)
+
+
+def _limited(distance: float, limits: MotionLimits) -> MoveProfile:
+    """The quickest move of limited jerk."""
     top = _top_speed(distance, limits)
     first, last = _ramp(top, limits.acceleration, limits.jerk), _ramp(top, limits.braking, limits.braking_jerk)
     cruise = max(distance - 0.5 * top * (_length(first) + _length(last)), 0.0) / top
     durations = (first[0], first[1], first[0], cruise, last[0], last[1], last[0])
     up, down = limits.jerk, limits.braking_jerk
+    held = (first[1] / first[0], last[1] / last[0])
+    return _built(durations, (up, 0.0, -up, 0.0, -down, 0.0, down), limits.lag, cruise, held)
+
+
+def _averaged(distance: float, limits: MotionLimits) -> MoveProfile:
+    """The quickest move of limited acceleration, smoothed by a mean over a fixed time."""
+    up, down, mean = limits.acceleration, limits.braking, limits.acceleration / limits.jerk
+    top = min(limits.speed, math.sqrt(2.0 * distance * up * down / (up + down)))
+    cruise = max(distance / top - 0.5 * top / up - 0.5 * top / down, 0.0)
+    ends = np.cumsum([0.0, top / up, cruise, top / down]).tolist()
+    # the mean's jerk is what the acceleration changes by within its time: by these steps, and by the same ones taken back
+    steps = (up, -up, -down, down)
+    changes = sorted(
+        [*zip(ends, steps, strict=True), *((t + mean, -step) for t, step in zip(ends, steps, strict=True))]
+    )
+    durations, jerks, jerk = [], [], 0.0
+    for (begin, step), (end, _) in zip(changes, changes[1:], strict=False):
+        jerk += step / mean
+        durations.append(end - begin)
+        jerks.append(jerk)
+    held = (max(top / up / mean - 1.0, 0.0), max(top / down / mean - 1.0, 0.0))
+    return _built(durations, jerks, limits.lag, max(cruise - mean, 0.0), held)
+
+
+def _built(
+    durations: Sequence[float], jerks: Sequence[float], lag: float, cruise: float, held: tuple[float, float]
+) -> MoveProfile:
+    """The profile of seven segments, from rest."""
     # plain numbers: a fit asks for thousands of moves, and arrays of three would take ten times as long
     starts, rows, follower = [], [], []
     begun = q = v = a = behind = 0.0
-    for t, jerk in zip(durations, (up, 0.0, -up, 0.0, -down, 0.0, down), strict=True):
+    for t, jerk in zip(durations, jerks, strict=True):
         row = (q, v, 0.5 * a, jerk / 6.0)
         starts.append(begun)
         rows.append(row)
         follower.append(behind)
-        if limits.lag > 0.0:
-            c0, c1, c2, c3 = _steady(row, limits.lag)
-            behind = c0 + t * (c1 + t * (c2 + t * c3)) + (behind - c0) * math.exp(-t / limits.lag)
+        if lag > 0.0:
+            c0, c1, c2, c3 = _steady(row, lag)
+            behind = c0 + t * (c1 + t * (c2 + t * c3)) + (behind - c0) * math.exp(-t / lag)
         q += t * (v + t * (0.5 * a + t * jerk / 6.0))
         v += t * (a + 0.5 * t * jerk)
         a += t * jerk
         begun += t
     return MoveProfile(
-        np.array(starts), np.array(durations), np.array(rows), np.array(follower), limits.lag, (q, behind)
+        np.array(starts), np.array(durations), np.array(rows), np.array(follower), lag, (q, behind), cruise, held
     )
 
 

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from planner.base.arrays import Array
 from planner.base.errors import InputError, OutputError
 from planner.base.results import digest
@@ -15,8 +17,8 @@ from planner.base.signals import interruptions_held
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import RobotFile, read_robot_file
-from planner.feedback.identify_delay import JointDelay
-from planner.feedback.identify_fit import QUANTITIES, Identified, JointFit
+from planner.feedback.identify_fit import QUANTITIES, Identified, JointDelay, JointFit
+from planner.feedback.identify_path import PathFindings
 from planner.problem import Problem
 from planner.problem.rewrite import Value, with_values
 
@@ -105,6 +107,55 @@ def write_measured(
     return written
 
 
+def controller_values(found: PathFindings) -> dict[str, float]:
+    """What a run has shown of the controller, as the key `controller` of a robot's file has it."""
+    out: dict[str, float] = {}
+    if found.lag.told:
+        out["lag_ms"] = float(f"{1e3 * found.lag.value:.3g}")
+    if found.depth.told:
+        out["zone_share"] = float(f"{found.depth.value:.3g}")
+    if found.brakes:
+        # the model's ramps grow with the cube root of the speed
+        ramps = np.array([each.time * each.speed ** (-1.0 / 3.0) for each in found.brakes])
+        weights = np.array([each.error * each.speed ** (-1.0 / 3.0) for each in found.brakes]) ** -2.0
+        out["ramp_ms"] = float(f"{1e3 * np.average(ramps, weights=weights):.3g}")
+    if found.ahead.told:
+        out["ahead_moves"] = float(max(round(found.ahead.value), 1))
+    return out
+
+
+def write_controller(
+    robot: MeasuredRobot, found: PathFindings, about: Sequence[str], source: Path, folder: Path
+) -> Path:
+    """Write a copy of an arm's file with what a run has shown of its controller; returns its path.
+
+    about   what is to stand above it, in words;  source: the recording
+    Raises OutputError where there is a file already, or none can be written.
+    """
+    file, text = read_robot_file(robot.path), _read(robot.path)
+    told = f"controller from {source.name}"
+    changes: dict[str, Value] = {
+        "controller": controller_values(found),
+        "measured": f"{told}; before: {robot.robot.measured}" if robot.robot.measured else told,
+    }
+    urdf = file.data["urdf"]
+    if isinstance(urdf, str) and not Path(urdf).is_absolute():
+        changes["urdf"] = Path(os.path.relpath(file.urdf().resolve(), folder.resolve())).as_posix()
+    lines = [
+        f"# Its controller, measured by `beadwise identify` from {source.name} (SHA-256 {digest(source)[:16]}):",
+        *(f"# {each}" for each in about),
+    ]
+    target = robot.target(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
+            stream.write("\n".join(lines) + "\n" + with_values(text, changes))
+        read_robot(target)
+    except OSError as error:
+        raise OutputError(f"cannot write {target}: {error.strerror}") from error
+    return target
+
+
 def measured_text(
     robot: MeasuredRobot,
     fits: Sequence[JointFit | None],
@@ -168,6 +219,9 @@ def _changes(
 def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
     """What one joint's moves say, in a line."""
     parts = [f"{what} {_limit_words(found)}" for what, found in zip(QUANTITIES, fit.limits, strict=True)]
+    if fit.averaged is not None:
+        time, error = fit.averaged
+        parts.append(f"smoothed by a mean over {1e3 * time:.3g} ({1e3 * error:.2g}) ms, jerk is acceleration over that")
     if delay is not None:
         parts.append(
             f"follows {1e3 * delay.total:.1f} ms late: delay {1e3 * delay.delay:.1f} ({1e3 * delay.delay_error:.1f}) ms, "

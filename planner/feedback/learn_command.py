@@ -21,7 +21,7 @@ from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
-from planner.export.controllers import CONTROLLERS
+from planner.export.controllers import CONTROLLERS, ControllerLimits
 from planner.export.forecast import close_moves
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import executed_run
@@ -139,7 +139,7 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
     Real runs begin anew with what comes of it: of these none has taught anything.
     """
     language = language_of(plan)
-    controller = CONTROLLERS[language]
+    controller = controller_of(plan, language)
     assumed = ", an assumed one" if len(controller.motion.assumed) > 1 else ""
     print(f"by the model of {controller.title}{assumed}, without a recording:")
     learned, lessons, first = None, None, None
@@ -193,6 +193,11 @@ def language_of(plan: Plan) -> str:
     return found[0]
 
 
+def controller_of(plan: Plan, language: str) -> ControllerLimits:
+    """The controller of a plan's arm, as it was measured where its robot's file says so."""
+    return CONTROLLERS[language].measured(plan.cell.arm_robot.controller)
+
+
 def learned_plan(
     plan: Plan, lessons: Lessons, errors: RunErrors, most: float, language: str, stages: Stages
 ) -> Learned:
@@ -237,7 +242,7 @@ def _hasty(plan: Plan, language: str) -> tuple[list[str], list[int]]:
     if differences:
         return differences, []
     program, cell = LANGUAGES[language].program(plan, own), LANGUAGES[language].plan(plan).cell
-    controller = CONTROLLERS[language]
+    controller = controller_of(plan, language)
     close = close_moves(play(program, cell, controller.motion), controller)
     tip = (plan.asked or plan.trajectory).tip
     return [], np.unique(cKDTree(tip).query(program.position[close])[1]).tolist()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from planner.base.signals import interruptions_held
 from planner.problem.problem import Problem
 from planner.problem.yaml_file import Keys, parse_yaml
 
-Value = float | list[float] | list[str] | str
+Value = float | list[float] | list[str] | str | dict[str, float]
 
 
 def write_changed(problem: Problem, changes: Mapping[str, Value], target: Path) -> None:
@@ -59,6 +59,41 @@ def with_values(text: str, changes: Mapping[str, Value]) -> str:
     for field, value in changes.items():
         text = _with(text, tuple(field.split(".")), value)
     return text
+
+
+def without(text: str, fields: Iterable[str]) -> str:
+    """The text of a YAML mapping without some of its fields (dotted), comments above others as they were.
+
+    A section that has nothing else goes as a whole.
+    """
+    for field in fields:
+        keys = tuple(field.split("."))
+        root = _root(text)
+        if _node(root, keys) is None:
+            continue
+        while len(keys) > 1 and len(_node(root, keys[:-1]).value) == 1:  # type: ignore[union-attr]
+            keys = keys[:-1]
+        section = _node(root, keys[:-1])
+        if isinstance(section, MappingNode):
+            text = _without(text, section, [name.value for name, _ in section.value].index(keys[-1]))
+    return text
+
+
+def _without(text: str, section: MappingNode, k: int) -> str:
+    """The text without the k-th entry of a section."""
+    pairs = section.value
+    first, last = pairs[k][0].start_mark.index, pairs[k][1].end_mark.index
+    if section.flow_style:
+        if k + 1 < len(pairs):
+            return text[:first] + text[pairs[k + 1][0].start_mark.index :]
+        return text[: pairs[k - 1][1].end_mark.index if k else first] + text[last:]
+    first = text.rfind("\n", 0, first) + 1
+    end = pairs[k + 1][0].start_mark.index if k + 1 < len(pairs) else text.find("\n", last - 1)
+    last = len(text) if end < 0 else text.rfind("\n", 0, end + 1) + 1
+    lines = text[first:last].splitlines(keepends=True)
+    while len(lines) > 1 and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
+        last -= len(lines.pop())
+    return text[:first] + text[last:]
 
 
 def paths_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Path]]:
@@ -120,6 +155,8 @@ def _written(value: Value) -> str:
     """A value as it stands in a file."""
     if isinstance(value, list):
         return f"[{', '.join(_written(each) for each in value)}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{name}: {_written(each)}' for name, each in value.items())}}}"
     if isinstance(value, float):
         return f"{value:.6f}".rstrip("0").rstrip(".")
 

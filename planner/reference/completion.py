@@ -51,18 +51,18 @@ def script(shell: str) -> str:
     whole = argparse.ArgumentParser(prog="beadwise")
     below = whole.add_subparsers()
     made = {parser.prog.rpartition(".")[2].removeprefix("beadwise "): parser for parser in commands()}
-    actions: dict[str, Any] = {}  # of commands that are nothing without a further word
+    above: dict[tuple[str, ...], Any] = {(): below}  # commands that are nothing without a further word
     for name, parser in made.items():
-        first, _, action = name.partition(" ")
-        if name in COMMANDS:
-            one = below.add_parser(name, help=COMMANDS[name].does, add_help=False, parents=[_completed(parser)])
-        elif first in COMMANDS and first not in made:
-            if first not in actions:
-                actions[first] = below.add_parser(first, help=COMMANDS[first].does).add_subparsers()
-            told = parser.description
-            one = actions[first].add_parser(action, help=told, add_help=False, parents=[_completed(parser)])
-        else:
+        *before, last = name.split()
+        if (before[0] if before else last) not in COMMANDS or (before and before[0] in made):
             continue
+        for k in range(1, len(before) + 1):
+            path = tuple(before[:k])
+            if path not in above:
+                about = COMMANDS[path[0]].does if k == 1 else " ".join(path)
+                above[path] = above[path[:-1]].add_parser(path[-1], help=about).add_subparsers()
+        told = parser.description if before else COMMANDS[name].does
+        one = above[tuple(before)].add_parser(last, help=told, add_help=False, parents=[_completed(parser)])
         one.description = None
     words = {name: " ".join(known()) for name, known in NAMED.items()}
     preamble: Any = {
@@ -78,6 +78,6 @@ def _completed(parser: Command) -> Command:
         if action.dest in NAMED:
             own = f"_beadwise_{action.dest}"
             action.complete = {"bash": own, "zsh": own, "tcsh": "f"}  # type: ignore[attr-defined]
-        elif action.dest in ("out", "folder", "contacts", "file", "program", "log", "asked"):
+        elif action.dest in ("out", "folder", "contacts", "file", "program", "log", "asked", "plan", "table", "write"):
             action.complete = shtab.FILE  # type: ignore[attr-defined]
     return parser

@@ -8,7 +8,12 @@ from planner.base.command_line import Command
 from planner.cell.robots_command import robots_command
 from planner.demo.command import demo_command
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
-from planner.feedback.identify_command import identify_read_command, identify_write_command
+from planner.feedback.identify_command import (
+    extruder_read_command,
+    extruder_write_command,
+    identify_read_command,
+    identify_write_command,
+)
 from planner.feedback.learn_command import learn_command
 from planner.feedback.scan_command import scan_command
 from planner.link.command import link_command
@@ -90,7 +95,8 @@ def commands() -> tuple[Command, ...]:
     """The parsers of all commands."""
     makers = (
         demo_command, solve_command, check_command, new_command, view_command, place_command, register_command,
-        scan_command, learn_command, identify_write_command, identify_read_command, robots_command, add_command, link_command,
+        scan_command, learn_command, identify_write_command, identify_read_command, extruder_write_command,
+        extruder_read_command, robots_command, add_command, link_command,
         stream_command, egm_command, simulate_command, reference_command,
     )  # fmt: skip
     return tuple(make() for make in makers)

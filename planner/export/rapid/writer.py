@@ -451,7 +451,7 @@ def _sends(program: RobotProgram) -> ProgramNote | None:
 
 
 def _paces(plan: Plan, program: RobotProgram) -> list[ProgramNote]:
-    controller = CONTROLLERS["rapid"]
+    controller = CONTROLLERS["rapid"].measured(plan.cell.arm_robot.controller)
     played = play(program, plan.cell, controller.motion)
     told = judged(program, played, controller)
     slow = [ProgramNote(each.words, each.first) for each in limited(program, played)]
