@@ -239,7 +239,7 @@ def test_drawing_that_is_not_there(run: Callable[..., Outcome], tmp_path: Path, 
     ("options", "fragments"),
     [
         (["--strategy", "lader"], ("--strategy", "lader", "ladder")),
-        (["--dt", "soon"], ("--dt", "'soon'", "0.0005 and 0.02")),
+        (["--dt", "soon"], ("--dt", "'soon'", "0.0005 to 0.02")),
         (["--dt", "0"], ("--dt", "'0'")),
         (["--dt", "-0.004"], ("--dt",)),
         (["--dt", "nan"], ("--dt", "'nan'")),

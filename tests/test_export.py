@@ -237,6 +237,7 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate(monkeypatch):
         "rails": 0,
         "tells_posture": True,
         "given": (),
+        "postures": plan.cell.postures,
     }
     cell = SimpleNamespace(**parts, T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))
     monkeypatch.setattr(writer, "notes_of", lambda *given: ())  # which play the program, for which there are no joints
@@ -816,7 +817,7 @@ def test_json_is_strict_and_complete():
             "versions",
             "baseline",
         ),
-        *("settings", "files", "dips", "events", "layer_times", "notes", "first_bead"),
+        *("settings", "files", "dips", "events", "layer_times", "notes", "first_bead", "problem_file"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None

@@ -6,7 +6,7 @@ of corrections says, and the robot must be safe even if it did just that.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -28,8 +28,16 @@ from planner.verify.verdict import joint_limits
 
 WITHIN = 2e-5  # m: the tip against what the file says, as against the path
 TURNED = np.radians(0.05)  # rad: its axis against the plan's
-LIMITS = ("joint range", "rail range", "joint velocity")  # acceleration is the controller's own to plan
-ASKED = "asked "  # before names of all checks here; some the plan's own motion has as well
+ASKED = "asked "  # before names of all checks here
+# What of the plan's own motion's is checked of the asked one, too; accelerations are the controller's own to plan.
+ALSO = {
+    "joint range": "asked joint range",
+    "rail range": "asked rail range",
+    "joint velocity": "asked joint velocity",
+    "nozzle clear of part and print": "asked nozzle clear of part and print",
+    "arm clear of part and print": "asked arm clear of part and print",
+    "robots clear of each other and of fixtures": "asked robots clear of each other and of fixtures",
+}
 _SAME = ("dt", "t", "bead", "layer", "deposit", "s", "speed", "flow", "extruded", "feed", "events", "first_bead")
 _FIELDS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")
 
@@ -67,8 +75,8 @@ def as_run(
         checks = [
             _as_learned(judged, trajectory, shift),
             check_most(asked, "asked off the plan", off * 1e3, spec.most * 1e3, "mm"),
-            *_renamed(check for check in joint_limits(judged).checks if check.name in LIMITS),
-            *_renamed(keep_apart(judged, (near, near), apart.result())[0].checks),
+            *_also(joint_limits(judged).checks),
+            *_also(keep_apart(judged, (near, near), apart.result())[0].checks),
         ]
     return Findings(tuple(checks), {"asked_off_max_mm": float(off.max()) * 1e3})
 
@@ -107,6 +115,7 @@ def _as_learned(judged: Judged, planned: Trajectory, shift: Array) -> Check:
     return replace(found, ok=False, where=f"other {', '.join(other)}") if other else found
 
 
-def _renamed(checks: Iterator[Check] | tuple[Check, ...]) -> Iterator[Check]:
+def _also(checks: Iterable[Check]) -> Iterator[Check]:
     for check in checks:
-        yield replace(check, name=ASKED + check.name)
+        if check.name in ALSO:
+            yield replace(check, name=ALSO[check.name])
