@@ -60,7 +60,8 @@ def test_what_is_laid_is_the_integral_of_what_is_there(lag: float, s: float) -> 
     step = 1e-6
     rate = (line.laid(np.array([s + step]), lag) - line.laid(np.array([s]), lag)) / step
     inside = np.abs(line.ends - s).min() > 2.0 * step
-    assert not inside or rate[0] == pytest.approx(line.area_at(np.array([s]), lag)[0], rel=1e-2, abs=3e-10)
+    # of the middle of the step: at the beginning flow may rise within tens of them
+    assert not inside or rate[0] == pytest.approx(line.area_at(np.array([s + 0.5 * step]), lag)[0], rel=1e-2, abs=3e-10)
     whole = line.laid(line.ends[-1:], lag)[0]
     assert 0.0 < whole <= (line.area * np.diff(line.ends)).sum() * 1.1
 

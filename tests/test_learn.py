@@ -205,6 +205,16 @@ def test_units_are_read_off_the_recording_where_names_do_not_tell_them(plan: Pla
     assert bool(way.remarks) == (unit == "")
 
 
+def test_a_bag_of_ros_teaches_what_a_table_does(plan: Plan, tmp_path: Path) -> None:
+    bags = pytest.importorskip("tests.test_identify_bag")
+    time, q = first_run()
+    bag = bags.bag_of(tmp_path, "mcap", {"/joint_states": bags.messages(plan.cell.joint_names, time, q)})
+    log = read_log(bag, plan.cell)
+    assert errors_of(plan.trajectory, recorded_way(plan, log, "rapid")).off == pytest.approx(
+        errors_of(plan.trajectory, true_way(plan, time, q)).off, abs=1e-6
+    )
+
+
 def test_a_gap_teaches_nothing_there(plan: Plan, tmp_path: Path) -> None:
     time, q = first_run()
     on = np.flatnonzero(np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-4)

@@ -120,7 +120,7 @@ def _run(options: argparse.Namespace) -> int:
 def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
     """What a recording teaches, told."""
     problem, language = plan.problem, language_of(plan)
-    way = recorded_way(plan, read_log(options.log, plan.cell, options.columns), language)
+    way = recorded_way(plan, read_log(options.log, plan.cell, options.columns, options.topic), language)
     errors = errors_of(plan.trajectory, way)
     if not errors.known.any():
         raise InputError("gaps leave nothing of any bead", file=options.log, hint="record all joints all the time")
@@ -288,7 +288,11 @@ def learn_command() -> Command:
     )
     given = parser.add_mutually_exclusive_group(required=True)
     given.add_argument(
-        "log", type=Path, nargs="?", metavar="LOG", help="the recording: CSV with time and joints, see the page"
+        "log",
+        type=Path,
+        nargs="?",
+        metavar="LOG",
+        help="the recording: CSV with time and joints, or a bag of ROS, see the page",
     )
     given.add_argument(
         "--forecast", action="store_true", help="without a recording, from what the controller's model foretells"
@@ -296,6 +300,7 @@ def learn_command() -> Command:
     parser.add_argument(
         "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
     )
+    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
     parser.add_argument(
         "--most-mm",
         dest="most",
