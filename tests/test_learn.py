@@ -6,6 +6,7 @@ import csv
 import json
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -417,6 +418,39 @@ def test_a_file_that_holds_no_corrections_is_refused_by_line(plan: Plan, tmp_pat
         read_corrections(path, plan.toolpath, WRONG)
     path.write_text(ROWS, encoding="utf-8")
     assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
+
+
+SPOILERS = st.lists(
+    st.tuples(
+        st.floats(0.0, 1.0), st.sampled_from([b",", b"nan", b"1e308", b"-", b"\n", b"x", b'"', b"\x00", b";", b""])
+    ),
+    min_size=1,
+    max_size=4,
+)
+
+
+@given(spoilers=SPOILERS, cut=st.floats(0.3, 1.0))
+@settings(max_examples=60)
+def test_spoilt_files_are_refused_or_read_and_never_anything_else(
+    spoilers: list[tuple[float, bytes]], cut: float
+) -> None:
+    plan, folder = corrected(), Path(_KEPT.name)
+    for name in ("corrections.csv", "run.csv"):
+        if not (folder / name).exists():
+            write_log(plan, *first_run(), 0.0, 1, folder / "run.csv")
+        text = bytearray((folder / name).read_bytes())
+        del text[int(cut * len(text)) :]
+        for where, what in spoilers:
+            at = int(where * (len(text) - 1))
+            text[at : at + len(what)] = what
+        path = folder / f"spoilt_{name}"
+        path.write_bytes(text)
+        with suppress(InputError):
+            if name == "run.csv":
+                errors_of(plan.trajectory, recorded_way(plan, read_log(path, plan.cell), "rapid"))
+            else:
+                found = read_corrections(path, plan.toolpath, WRONG)
+                assert np.isfinite(displacements(found, plan.trajectory)).all()
 
 
 def learned_problem(folder: Path, rows: str, most: float) -> Problem:

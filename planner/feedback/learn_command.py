@@ -69,6 +69,7 @@ MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
 TRIES = 12  # smoother and smaller corrections, until they hold
 SMOOTHER = 0.6  # of what corrections may bend, from try to try
 FORETOLD = 3  # runs
+LEAST_KNOWN = 10  # samples of beads that a recording must show
 EVENED = 3e-3  # m of bead, on which corrections are evened where lines would be too quick
 AROUND = 10e-3  # m of bead, on which corrections are made smaller where they would not be safe
 
@@ -122,7 +123,7 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
     problem, language = plan.problem, language_of(plan)
     way = recorded_way(plan, read_log(options.log, plan.cell, options.columns, options.topic), language)
     errors = errors_of(plan.trajectory, way)
-    if not errors.known.any():
+    if np.count_nonzero(errors.known) < LEAST_KNOWN:
         raise InputError("gaps leave nothing of any bead", file=options.log, hint="record all joints all the time")
     print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
     corrections = corrections_of(problem, plan.toolpath)

@@ -131,7 +131,8 @@ def run_lines(plan: Plan, way: RecordedWay, errors: RunErrors, run: int) -> list
         planned = float((t.speed[rows][told] >= (1.0 - AT_SPEED) * asked[told]).mean())
         out.append(f"at the commanded speed in {share:.1%} of that time, planned {planned:.1%}")
     turned = way.turned[t.deposit[np.minimum(np.rint(way.place).astype(np.int64), len(t) - 1)]]
-    out.append(f"the axis is off by {np.degrees(np.quantile(turned, 0.99)):.2f} degrees (99 %), and stays so")
+    if len(turned):
+        out.append(f"the axis is off by {np.degrees(np.quantile(turned, 0.99)):.2f} degrees (99 %), and stays so")
     out.append("most off: " + "; ".join(_places(t, rows, size)))
     return out
 
