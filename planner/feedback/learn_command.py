@@ -153,7 +153,7 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
             way = way_along(plan, cell, done.t, done.q)
         errors = errors_of(plan.trajectory, way)
         first = first or errors
-        what = f"after {run} runs that teach" if run else "as it is planned"
+        what = f"taught by {run} of {FORETOLD} such runs" if run else "as it is planned"
         print(f"{what}: {off_words(errors)}", flush=True)
         if run == FORETOLD:
             break
