@@ -657,6 +657,8 @@ def test_the_model_of_a_controller_teaches_the_program_of_the_first_run(
     usual = recorded_forecast(plan)
     assert own["closer_than_warned"] <= usual["closer_than_warned"]
     assert (out / "small_run_1.yaml").is_file()
+    assert main([str(out), "--forecast", "--out", str(tmp_path / "again"), "--quiet"]) == EXIT_INPUT
+    assert "--forecast: small_run_1 is corrected by as_run already" in capsys.readouterr().err
     # of real runs none has taught anything yet
     problem = load_problem(out / "small_run_1.yaml")
     corrections = read_corrections(out / "corrections.csv", plan.toolpath, WRONG)

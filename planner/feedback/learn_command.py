@@ -137,8 +137,12 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
 def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunErrors]:
     """What runs would teach if the robot did as its controller's model foretells, told; and how far the first would be off.
 
-    Real runs begin anew with what comes of it: of these none has taught anything.
+    Real runs begin anew with what comes of it: of these none has taught anything. Raises InputError for a plan whose program
+    is corrected already.
     """
+    if plan.problem.as_run is not None:
+        reason = f"{plan.name} is corrected by as_run already"
+        raise InputError(reason, field="--forecast", hint="the recording of its run, or the problem without as_run")
     language = language_of(plan)
     controller = controller_of(plan, language)
     assumed = ", an assumed one" if len(controller.motion.assumed) > 1 else ""
