@@ -330,3 +330,14 @@ def test_corners_of_held_out_runs_are_predicted(runs):
     assert errors[:, 0].max() < 0.02
     assert errors[:, 1].max() < 0.02
     assert np.nanmax(errors[:, 2]) < 0.16
+
+
+def test_a_forecast_s_distance_is_that_of_an_arm_whose_joints_follow_late():
+    """A right angle at constant speed v, rounded by a lag alone, is missed by half of lag times v times the square root of 2."""
+    still = replace(CELL, limits=replace(CELL.limits, acceleration=1e6 * CELL.limits.acceleration))
+    steps = 1e-3 * np.arange(1, 31)
+    corner = np.vstack([np.outer(steps, [0, 1, 0]), [0, 0.03, 0] + np.outer(steps, [1, 0, 0])])
+    program = laid(program_through(corner, speed=0.04, zone=1e-6))
+    late = replace(CONTROLLERS["rapid"], motion=MotionModel("late", lag=0.02))
+    assert forecast(program, still, late).off == pytest.approx(0.5 * 0.02 * 0.04 * np.sqrt(2.0), rel=0.05)
+    assert forecast(program, still, replace(late, motion=PLAIN)).off < 4e-5

@@ -13,7 +13,7 @@ from planner.base.arrays import Array, Flags, Indices
 from planner.base.nearest import distance_to_polyline
 from planner.export.controllers import ControllerLimits
 from planner.export.player.executed import executed_run
-from planner.export.player.path import deviation
+from planner.export.player.path import MOST_TICKS
 from planner.export.player.play import play
 from planner.export.player.played import TIMES, Played, laid_moves, laid_spans
 from planner.export.program import RobotProgram
@@ -26,6 +26,8 @@ FORECAST = "forecast.json"  # the file of a results folder
 FORMAT = "beadwise forecast 1"
 AT_SPEED = 0.02  # of the programmed speed: more slowly is not at speed, as in the plan's own figures
 SECOND = 1.0  # s in which targets are counted
+FINE_TICK = 2e-3  # s between instants at which the arm is looked at: sharp corners lie between a controller's own
+BESIDE = 0.1  # s before and behind a bead, whose lines the tip may be near at its ends
 MANY = 0.001  # of all moves on beads that may be shorter than is warned of: a corner here and there is no trouble
 
 
@@ -37,7 +39,7 @@ class Forecast:
     assumed      its model is assumed and not fitted to recordings
     time         of the whole program
     programmed   mean speed that is programmed on beads; mean, least: predicted; share: of their length at speed
-    off          greatest distance of the tip from the programmed path on beads
+    off          greatest distance of the executed tip from the programmed path on beads
     slowest      move on a bead that has the least speed; -1 without beads
     targets      of the program; laid: moves on beads
     per_second   targets on beads, on the mean; most: in the second that has most of them
@@ -119,25 +121,25 @@ def forecast(
     """
     played = play(program, cell, controller.motion)
     found = judged(program, played, controller)
-    return (
-        found
-        if planned is None
-        else replace(found, off=_off_plan(program, played, cell, controller, planned), of_plan=True)
-    )
+    return replace(found, off=_off(program, played, cell, controller, planned), of_plan=planned is not None)
 
 
-def _off_plan(
-    program: RobotProgram, played: Played, cell: Cell, controller: ControllerLimits, planned: Trajectory
+def _off(
+    program: RobotProgram, played: Played, cell: Cell, controller: ControllerLimits, planned: Trajectory | None
 ) -> float:
-    """Greatest distance [m] of the executed tip from the planned path of the bead that it lays."""
-    run, t = executed_run(program, played, controller.motion), planned
+    """Greatest distance [m] of the executed tip from the lines of the beads that it lays, or from their planned paths."""
+    run = executed_run(program, played, controller.motion, max(FINE_TICK, played.duration / MOST_TICKS))
     tip = cell.T_part_nozzle(np.ascontiguousarray(run.q))[:, :3, 3]
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
+    spans, when = laid_spans(played), np.union1d(run.t, played.arrive)  # corners are at targets
+    lines = played.at(when).position
+    paths = [lines[(when >= on) & (when <= off)] for on, off in spans]
+    if planned is not None:
+        ends = np.flatnonzero(np.diff(np.concatenate([[False], planned.deposit, [False]]).astype(np.int8)))
+        paths = [planned.tip[first:end] for first, end in ends.reshape(-1, 2)]
     worst = 0.0
-    for (on, off), (first, last) in zip(laid_spans(played), edges, strict=False):
-        own = tip[(run.t >= on) & (run.t <= off)]
-        path = t.tip[max(first - 1, 0) : last + 1]  # the bead begins up to a sample before the first that lays it
-        worst = max(worst, float(distance_to_polyline(own, path).max(initial=0.0)))
+    for (on, off), path in zip(spans, paths, strict=False):
+        executed = tip[(run.t >= on - BESIDE) & (run.t <= off + BESIDE)]
+        worst = max(worst, float(distance_to_polyline(path, executed).max(initial=0.0)))
     return worst
 
 
@@ -150,7 +152,7 @@ def close_moves(played: Played, controller: ControllerLimits) -> Flags:
 
 
 def judged(program: RobotProgram, played: Played, controller: ControllerLimits) -> Forecast:
-    """The forecast of a program that was played with the controller's motion."""
+    """The forecast of a program that was played with the controller's motion, all but how far it is off its lines."""
     laid = laid_moves(played)
     m, count = len(laid), int(laid.sum())
     took = np.bincount(played.move, played.phases[:, TIMES].sum(axis=1), minlength=m)
@@ -175,7 +177,7 @@ def judged(program: RobotProgram, played: Played, controller: ControllerLimits) 
         mean=float(length[laid].sum() / total),
         least=float(least[slowest]),
         share=at_speed,
-        off=float(deviation(program, played, controller.motion).at[laid].max()),
+        off=0.0,
         slowest=slowest,
         targets=m,
         laid=count,

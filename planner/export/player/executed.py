@@ -46,6 +46,8 @@ def _rounded(program: RobotProgram, played: Played, depth: float, t: Array) -> A
     way = np.concatenate([[0.0], np.cumsum(steps)])  # of the tip, at knots [m]
     at = way[knot] + share * steps[knot]
     target = played.target[:-1]
+    if not len(target):
+        return q
     moves = np.diff(way[np.concatenate([[0], played.target])])
     reach = np.where(program.fine[:-1], 0.0, np.minimum(program.zone[:-1], 0.5 * np.minimum(moves[:-1], moves[1:])))
     slope = np.diff(played.q, axis=0) / np.where(steps > 0.0, steps, np.inf)[:, None]  # joints over the tip's way

@@ -30,7 +30,8 @@ class Deviation:
 
 
 def deviation(program: RobotProgram, played: Played, model: MotionModel) -> Deviation:
-    """How far the tip leaves the programmed path, to the side.
+    """How far the tip leaves the programmed path, to the side: in its own frame, as the model is held against recordings
+    (`benchmarks.controller`). Forecasts follow the joints instead, see `executed_run`.
 
     Within a zone the path is that of `corner_depth`. The arm follows with a lag, as through a filter that weighs what was
     commanded dt before and after by exp(-|dt| / lag): a corner is rounded by speed, lag and half of the change of
