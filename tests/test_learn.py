@@ -21,6 +21,7 @@ from solved import small_plan, small_problem
 from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
+from planner.base.nearest import distance_to_polyline
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.export.controllers import CONTROLLERS
@@ -172,6 +173,21 @@ def test_what_is_off_across_the_path_is_found_and_what_is_along_it_is_not(plan: 
     straight &= (along * np.roll(along, -12, axis=0)).sum(axis=1) > 0.999
     assert errors.off[straight] == pytest.approx(expected[straight], abs=5e-6)
     assert errors.known[t.deposit].all()
+
+
+def test_how_far_a_run_is_off_is_its_distance_from_the_beads(plan: Plan) -> None:
+    """By another way: each bead's planned tips against the executed polyline of its time, whatever place belongs to which."""
+    t, (time, q) = plan.trajectory, first_run()
+    way = true_way(plan, time, q)
+    errors = errors_of(t, way)
+    for bead in np.unique(t.bead[t.deposit]):
+        rows = np.flatnonzero(t.deposit & (t.bead == bead))
+        near = (way.place > rows[0] - 30) & (way.place < rows[-1] + 30)
+        nearest = distance_to_polyline(t.tip[rows], way.tip[near])
+        told = np.linalg.norm(errors.off[rows], axis=1)
+        assert np.median(told) == pytest.approx(np.median(nearest), rel=0.1)
+        assert (told > nearest - 2e-5).mean() > 0.95
+        assert np.quantile(told, 0.99) < 2.0 * np.quantile(nearest, 0.99) + 2e-5
 
 
 def corrections_by(t: Trajectory, shift: Callable[[Array], Array]) -> Corrections:

@@ -34,7 +34,7 @@ from planner.feedback.identify_extruder import (
     waypoints_text,
 )
 from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
-from planner.feedback.identify_log import read_log
+from planner.feedback.identify_log import add_recording, read_log
 from planner.feedback.identify_match import MatchedLog, match
 from planner.feedback.identify_path import findings, off_commands
 from planner.feedback.identify_profile import move_profile
@@ -197,10 +197,7 @@ def identify_read_command() -> Command:
         metavar="FILE",
         help="what the program asked (default: <problem>_asked.json beside LOG, or in out/<problem>_identify)",
     )
-    parser.add_argument(
-        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
-    )
-    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
+    add_recording(parser)
     parser.add_argument(
         "--plan",
         metavar="PLAN",
@@ -368,10 +365,6 @@ def _lengths(text: str) -> tuple[float, ...]:
     if min(values) < 0.0:
         raise argparse.ArgumentTypeError(f"{text!r}: not below 0")
     return values
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(","))
 
 
 # ----------------------------------------------------------------------------------------------------

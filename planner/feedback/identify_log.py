@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.command_line import Command
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 from planner.cell.cell import Cell
@@ -86,6 +87,18 @@ class LogColumn:
     named: int | None = None
     number: int | None = None
     external: bool = False
+
+
+def add_recording(parser: Command) -> None:
+    """The options by which a recording is read: `columns` and `topic` of `read_log`."""
+    parser.add_argument(
+        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
+    )
+    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(","))
 
 
 def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic: str | None = None) -> RobotLog:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from planner.feedback.identify_path import (
     follow,
 )
 from planner.feedback.identify_program import counting
+from planner.feedback.planned import SAVED, planned_results
 from planner.plan import Plan
 from planner.problem import Problem
 
@@ -38,7 +38,6 @@ LEAVES = 0.03  # m from the path, beyond which it is another program's
 REACHED = 1e-3  # m of the path's end, from which it is reached
 MOST_STARTS = 6  # times that the robot stands at the first posture, from which a run is looked for
 DEGREE = np.pi / 180.0
-_SAVED = (".npz", ".plan")
 
 
 @dataclass(frozen=True)
@@ -78,7 +77,7 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
         raise InputError(
             "there is no such file or folder", file=path, hint="a folder that solve wrote, or a saved plan"
         )
-    if path.suffix not in _SAVED:
+    if path.suffix not in SAVED:
         raise InputError(
             "is no plan", file=path, hint="a folder that solve wrote, or what plan.save wrote (.plan, .npz)"
         )
@@ -118,16 +117,11 @@ def path_of_samples(q: Array, cell: Cell) -> CommandedPath:
 
 def _of_folder(folder: Path, problem: Problem, cell: Cell) -> PlannedRun:
     """Of the files that solve wrote."""
-    file = folder / "plan.json"
-    try:
-        held = json.loads(file.read_text(encoding="utf-8"))
-        name = str(held["problem"])
-    except FileNotFoundError as error:
-        raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("is no plan.json that solve wrote", file=file) from error
+    name = planned_results(folder).name
     if name != problem.name:
-        raise InputError(f"is a plan of {name}", file=file, hint=f"one of {problem.name}, or another CELL")
+        raise InputError(
+            f"is a plan of {name}", file=folder / "plan.json", hint=f"one of {problem.name}, or another CELL"
+        )
     modules = {path.name: path.read_text(encoding="utf-8", errors="replace") for path in sorted(folder.glob("*.mod"))}
     if modules:
         own = cell.as_counted

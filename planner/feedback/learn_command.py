@@ -27,7 +27,7 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import executed_run
 from planner.export.player.play import play
 from planner.export.write import forecast_words, program_notes
-from planner.feedback.identify_log import read_log
+from planner.feedback.identify_log import add_recording, read_log
 from planner.feedback.learn_fit import (
     Lessons,
     RunErrors,
@@ -302,10 +302,7 @@ def learn_command() -> Command:
     given.add_argument(
         "--forecast", action="store_true", help="without a recording, from what the controller's model foretells"
     )
-    parser.add_argument(
-        "--columns", type=_names, metavar="NAMES", help="of a file without a header, - for one that is not wanted"
-    )
-    parser.add_argument("--topic", metavar="NAME", help="of the executed joints in a bag, where it has several")
+    add_recording(parser)
     parser.add_argument(
         "--most-mm",
         dest="most",
@@ -318,10 +315,6 @@ def learn_command() -> Command:
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: out/<problem>_run_<number>")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
     return parser
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(","))
 
 
 def _millimetres(text: str) -> float:

@@ -155,7 +155,7 @@ def next_lines(corrections: Corrections, before: Lessons | None, errors: RunErro
     """What the next program asks for, and whether another run is worth it."""
     out = [f"the next program asks for places up to {corrections.most * 1e3:.3f} mm beside the plan"]
     if smoothed:
-        out.append(f"corrections were smoothed {smoothed} times, until lines of the program could follow them")
+        out.append(f"corrections were smoothed until lines of the program could follow them (rounds: {smoothed})")
     if before is not None:
         was, now = (
             float(np.sqrt(np.square(each).sum(axis=1).mean())) * 1e3 for each in (before.left, errors.off[errors.known])

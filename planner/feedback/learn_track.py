@@ -62,7 +62,10 @@ def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
     _check_followed(plan, log, way.place, way.off)
     if len(way.gaps):
         lost = float(np.diff(log.time[way.gaps], axis=1).sum())
-        remarks = (*remarks, f"{len(way.gaps)} gaps in the recording, {lost:.2f} s in all: nothing is learned there")
+        remarks = (
+            *remarks,
+            f"samples are missing for {lost:.2f} s in all (gaps: {len(way.gaps)}): nothing is learned there",
+        )
     return replace(way, remarks=remarks)
 
 

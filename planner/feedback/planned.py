@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from planner.base.errors import InputError
 from planner.plan import Plan
 from planner.problem import Problem, load_problem, shipped_problems
 
-_SAVED = (".npz", ".plan")
+SAVED = (".npz", ".plan")  # how files of plans end
 
 
 def planned_problem(given: str) -> tuple[Problem, Plan | None]:
@@ -20,7 +21,7 @@ def planned_problem(given: str) -> tuple[Problem, Plan | None]:
     path = Path(given)
     if path.is_dir() and given not in shipped_problems():
         return _of_folder(path), None
-    if path.suffix in _SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
+    if path.suffix in SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
         plan = Plan.load(path)
         return _of_plan(plan, path), plan
     return load_problem(given), None
@@ -35,18 +36,38 @@ def _of_plan(plan: Plan, path: Path) -> Problem:
     return load_problem(plan.problem.file, plan.problem.sources.overrides)
 
 
-def _of_folder(folder: Path) -> Problem:
-    """The problem of a folder of results: a shipped one, or the file that was given, from here or beside the folder."""
+@dataclass(frozen=True)
+class PlannedResults:
+    """What the plan.json of a folder of results says of its problem: name, file or shipped name (None: from arrays), and what
+    `--set` changed (None: it does not say)."""
+
+    name: str
+    problem_file: str | None
+    overrides: tuple[str, ...] | None
+
+
+def planned_results(folder: Path) -> PlannedResults:
+    """What a folder of results says of its problem. Raises InputError for one that solve did not write."""
     file = folder / "plan.json"
     try:
         held = json.loads(file.read_text(encoding="utf-8"))
-        name, overrides = str(held["problem"]), [str(each) for each in held["settings"]["overrides"]]
+        name, settings = str(held["problem"]), held.get("settings")
+        overrides = None if settings is None else tuple(str(each) for each in settings["overrides"])
         given = held.get("problem_file", name)
     except FileNotFoundError as error:
         raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("is no plan.json that solve wrote", file=file) from error
-    if not isinstance(given, str):
+    return PlannedResults(name, given if isinstance(given, str) else None, overrides)
+
+
+def _of_folder(folder: Path) -> Problem:
+    """The problem of a folder of results: a shipped one, or the file that was given, from here or beside the folder."""
+    held = planned_results(folder)
+    given, overrides = held.problem_file, held.overrides
+    if overrides is None:
+        raise InputError("is no plan.json that solve wrote", file=folder / "plan.json")
+    if given is None:
         raise InputError("was planned from waypoints of arrays, which are in no file", file=folder)
     if given in shipped_problems():
         return load_problem(given, overrides)
