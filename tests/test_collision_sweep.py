@@ -16,7 +16,7 @@ from planner.verify.bodies import CellBodies, Distances, pairs
 from planner.verify.checks import FAR
 from planner.verify.collision import sweep
 from planner.verify.executed import ExecutedMotion
-from planner.verify.nozzle import nozzle_nearness
+from planner.verify.nozzle import beyond_the_tip, nozzle_nearness
 
 Array = NDArray[np.float64]
 FIXTURES = (
@@ -89,16 +89,25 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift
     tree = point_tree(points, 2e-4, time)
     head = packed(cell.head)
     found = nozzle_nearness(tree, head, motion, now, slack, clearance)
-    least = np.inf
+    far = beyond_the_tip(tree, head, motion, now, slack, clearance)
+    least, spare = np.inf, np.full(n, FAR)
     for k in range(n):
         local = (points[time < now[k]] - tip[k]) @ rotation[k]
         away = np.linalg.norm(local, axis=1)
         need = np.minimum(clearance, TIP_SLOPE * away - slack[k])
+        beyond = away >= (clearance + slack[k]) / TIP_SLOPE
         for j in range(len(head.kind)):
             T = head.T_solid_frame[j]
             own = local @ T[:3, :3].T + T[:3, 3]
-            d = np.array([solid_distance(head.kind[j], head.size[j], head.planes, *p) for p in own])
+            d = np.array([solid_distance(head.kind[j], head.size[j], head.planes, *p) for p in own]) - 2e-4
             if len(d):
-                least = min(least, float((d - 2e-4 - need).min()))
+                least = min(least, float((d - need).min()))
+            spare[k] = min(spare[k], (d[beyond] - clearance).min(initial=FAR))
     assert least < FAR
     assert least - 2e-4 <= found.least <= least + 1.1e-4  # between samples it may be nearer still
+    assert spare.min() < FAR
+    told = max(1.1e-4, 0.05 * (spare.min() + clearance))
+    assert spare.min() - 2e-4 <= far.least <= spare.min() + told
+    assert far.margin[far.at] >= far.least - 1e-9
+    assert np.all(far.margin >= spare.min() - 2e-4)
+    assert np.median(np.abs(far.margin - spare)) < 1e-3  # what is between looks is interpolated

@@ -130,7 +130,7 @@ def ages(places: LaidPlaces) -> tuple[Array, Ints]:
 
 def _others(places: LaidPlaces) -> Ints:
     """Places (k, _NEAREST) that each one may lie on, the nearest first; -1 for none."""
-    out = np.full((len(places.bead), _NEAREST), -1)
+    out, found = np.full((len(places.bead), _NEAREST), -1), np.zeros(len(places.bead), dtype=bool)
     numbers = np.unique(places.layer)
     rows = [np.flatnonzero(places.layer == number) for number in numbers]
     trees = [cKDTree(places.tip[own]) for own in rows]
@@ -150,7 +150,8 @@ def _others(places: LaidPlaces) -> Ints:
             on = _lies_on(places, one, other, _OWN if j == k else _OFF)
             on &= ~(places.time[other] >= places.time[one])
             out[one[on], which[on]] = other[on]
-            left = np.setdiff1d(left, one[on])
+            found[one[on]] = True
+            left = left[~found[left]]
     empty = np.argsort(out < 0, axis=1, kind="stable")  # what is found comes first, the nearest before others
     return np.take_along_axis(out, empty, axis=1)
 

@@ -43,7 +43,7 @@ _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _STEEP = 1e3  # slope by which no point within the tip's zone counts
-_SPARE = 0.05  # of what is to spare beyond the tip's zone, by which the least that is found may exceed the true one
+_SPARE = 0.05  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -252,69 +252,99 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
     The slope is so steep that only points beyond the tip's zone count, slack / slope away. The least that these have to
-    spare is found to _SPARE of it. A search begins with the point that was nearest before.
+    spare is found to _SPARE of the distance. Looks are as far apart as the margins at both ends of an interval allow:
+    in between, the mean of the two falls by half of what the body moves at most.
     Arguments as in `least_along`; margin (n) [m].
     """
-    points, radius, time = tree.points, tree.radius, tree.time
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
-    tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
-    now, slack, ahead = way.now, way.slack, way.ahead
-    n = len(now)
+    path, turned, n = way.path, way.turned, len(way.now)
     least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, stack)
-    T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    samples, values = np.empty(_OFTEN + 1, np.int64), np.empty(_OFTEN + 1)  # looks ahead, the nearest one on top
     for j in range(len(kind)):
-        solid = SolidNumbers(kind[j], size[j], planes)
-        c = solids.centre[j]
+        solid, own, c = SolidNumbers(kind[j], size[j], planes), T_solid_frame[j], solids.centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + solids.reach[j]
-        own = T_solid_frame[j]
-        tip_away = solid_distance(kind[j], size[j], planes, own[0, 3], own[1, 3], own[2, 3])
-        k, before, value_before, known = 0, -1, 0.0, -1
-        while True:
-            seeing = now[ahead[k]]
-            _pose(own, rotation[k], tip[k], T)
-            enough, found, rule = FAR, -1, TipRule(clearance, slope, slack[k])
-            if known >= 0 and time[known] < seeing:
-                value = point_value(points[known], radius[known], solid, T, tip[k], rule)
-                if value < enough:
-                    enough, found = value, known
-            value, point = nearest_point(tree, solid, T, tip[k], rule, seeing, enough, stack)
-            point = found if point < 0 else point
-            known = point if point >= 0 else known
-            if value < least:
-                least, where, whose, which = value, k, j, point
-            if k == before + 1 and k > 0:
-                moved = _RATE * (path[k] - path[before] + arm * (turned[k] - turned[before]))
-                parts = 1
-                while (
-                    0.5 * (value + value_before - moved / parts) < least - max(TOLERANCE, _SPARE * least)
-                    and parts < _MOST_PARTS
-                ):
-                    parts *= 2
-                for i in range(1, parts):
-                    _between(rotation[before], rotation[k], tip[before], tip[k], i / parts, R, p)
-                    _pose(own, R, p, T)
-                    inside, found = nearest_point(tree, solid, T, p, rule, seeing, least, stack)
-                    if inside < least:
-                        least, where, whose, which = inside, k, j, found
-            for i in range(max(before, 0), k + 1):
-                done = (i - before) / max(k - before, 1)
-                margin[i] = min(margin[i], (1.0 - done) * value_before + done * value if before >= 0 else value)
-            if k == n - 1:
-                break
-            target = least - max(TOLERANCE, _SPARE * least)
-            m = k + 1
-            while m < min(n - 1, k + _OFTEN):
-                moved = path[m + 1] - path[k] + arm * (turned[m + 1] - turned[k])
-                if value - _RATE * moved < target:
-                    break
-                # what is laid in the meantime lies where the tip has been: far within its zone, if only what is beyond counts
-                far = path[m + 1] - path[k]
-                counts = 2.0 * far > slack[k] / slope
-                if now[m + 1] > seeing and counts and tip_away - far - slack[k] / TIP_SLOPE - clearance < target:
-                    break
-                m += 1
-            before, value_before, k = k, value, m
+        k, known, waiting = _ZERO, -1, 0
+        value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, stack)
+        margin[0] = min(margin[0], value)
+        if value < least:
+            least, where, whose, which = value, k, j, known
+        while k < n - 1:
+            target = least - max(TOLERANCE, _SPARE * (least + clearance))
+            if waiting == 0:
+                look = _next_look(way, k, value - target, arm, slope)
+            else:
+                ahead, far = samples[waiting - 1], values[waiting - 1]
+                moved = _RATE * (path[ahead] - path[k] + arm * (turned[ahead] - turned[k]))
+                look = (k + ahead) // 2 if 0.5 * (value + far - moved) < target else k
+            if look > k:
+                samples[waiting] = look
+                values[waiting], known = _look_at(tree, solid, own, way, clearance, slope, look, known, stack)
+                if values[waiting] < least:
+                    least, where, whose, which = values[waiting], look, j, known
+                waiting += 1
+                continue
+            if ahead == k + 1 and 0.5 * (value + far - moved) < target:
+                rule = TipRule(clearance, slope, way.slack[ahead])
+                inside, found = _look_between(
+                    tree, solid, own, way, rule, k, 0.5 * (value + far), 0.5 * moved, target, stack
+                )
+                if found >= 0:
+                    least, where, whose, which = inside, ahead, j, found
+            for i in range(k + 1, ahead + 1):
+                done = (i - k) / (ahead - k)
+                margin[i] = min(margin[i], (1.0 - done) * value + done * far)
+            k, value, waiting = ahead, far, waiting - 1
     return least, where, whose, which
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _next_look(way, k, spare, arm, slope):
+    """The sample that is looked at after k: as far on as may do if the margin there is what it is at k.
+
+    spare: what the margin may fall by [m]; arm: how far the body reaches from the tip [m]
+    """
+    path, turned, now, slack = way.path, way.turned, way.now, way.slack
+    seeing, m = now[way.ahead[k]], k + 1
+    while m < min(len(now) - 1, k + _OFTEN):
+        far = path[m + 1] - path[k]
+        if spare < 0.5 * _RATE * (far + arm * (turned[m + 1] - turned[k])):
+            break
+        # what is laid in the meantime lies where the tip has been: far within its zone
+        if now[m + 1] > seeing and 2.0 * far > slack[k] / slope:
+            break
+        m += 1
+    return m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, stack):
+    """The margin of a body at sample k, FAR at most, and its point; the search begins with the known one, or with -1."""
+    T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.now[way.ahead[k]]
+    _pose(T_solid_nozzle, way.rotation[k], way.tip[k], T)
+    enough = FAR
+    if known >= 0 and tree.time[known] < seeing:
+        enough = min(FAR, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
+    value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, stack)
+    return value, known if point < 0 else point
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, stack):
+    """The least margin of a body between samples k and k + 1, if it is less than the target, and its point, or -1.
+
+    mean: of the margins at both; fall: how far below it the margin may be in between [m]
+    """
+    T, R, p = np.empty((4, 4)), np.empty((3, 3)), np.empty(3)
+    parts, least, which = 1, target, -1
+    while mean - fall / parts < target and parts < _MOST_PARTS:
+        parts *= 2
+    for i in range(1, parts):
+        _between(way.rotation[k], way.rotation[k + 1], way.tip[k], way.tip[k + 1], i / parts, R, p)
+        _pose(T_solid_nozzle, R, p, T)
+        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, stack)
+        if value < least:
+            least, which = value, point
+    return least, which
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -411,7 +441,7 @@ def beyond_the_tip(
 ) -> Nearness:
     """Margins of true distances, less the clearance, from points beyond the tip's zone.
 
-    The least is exact to TOLERANCE where it is negative, and to _SPARE of it elsewhere.
+    The least is exact to TOLERANCE where it is negative, and to _SPARE of the distance elsewhere.
     """
     zone = (clearance + slack) / TIP_SLOPE
     way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack, look))
