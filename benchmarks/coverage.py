@@ -27,9 +27,8 @@ from planner.toolpath.coverage.rows import REACH, cover
 from planner.toolpath.coverage.sheet import sheet_of
 from planner.toolpath.coverage.tours import ORDERS
 from planner.toolpath.step.body import FaceBody
-from planner.toolpath.step.cover import smooth_regions
+from planner.toolpath.step.cover import smooth_regions, visits
 from planner.toolpath.step.files import Face, choose_faces, read_step
-from planner.toolpath.step.sampling import sample_faces
 
 Array = NDArray[np.float64]
 
@@ -55,13 +54,14 @@ def paths(
 ) -> list[tuple[str, str, str, list[SurfaceLine], float]]:
     """Every path over a region: its name, how many samples, whether each is visited once, its lines, CPU time [s]."""
     out = []
-    samples = sample_faces(FaceBody.of(region), spec.source.spacing)
-    for name, order_of in ORDERS.items():
+    body = FaceBody.of(region)
+    for name in ORDERS:
         start = time.process_time()
-        order = order_of(samples)
+        samples, pieces = visits(body, spec.source.model_copy(update={"path": name}))
         seconds = time.process_time() - start
-        once = "yes" if measures.visits_each_once(order, len(samples.points)) else "NO"
-        out.append((name, str(len(samples.points)), once, [measures.laid(samples, order)], seconds))
+        once = "yes" if measures.visits_each_once(np.concatenate(pieces), len(samples.points)) else "NO"
+        lines = [measures.laid(samples, piece) for piece in pieces if len(piece) > 1]
+        out.append((name, str(len(samples.points)), once, lines, seconds))
     start = time.process_time()
     strokes = cover(region, spec.source.spacing, speed)
     seconds = time.process_time() - start

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,8 @@ def write(name: str, shape: Any, names: Sequence[tuple[Any, str]]) -> None:
     text = path.read_text(encoding="ascii")
     text = re.sub(r"FILE_NAME\(.*?\);", f"FILE_NAME('{name}','',(''),(''),'','','');", text, count=1, flags=re.DOTALL)
     text = re.sub(r"Open CASCADE STEP translator [0-9. ]+", name, text)
+    number = count(1)  # counted on from file to file otherwise
+    text = re.sub(r"(_USAGE_OCCURRENCE\(')\d+", lambda found: f"{found[1]}{next(number)}", text)
     path.write_text(text, encoding="ascii")
 
 
@@ -160,12 +163,12 @@ def shoehorn() -> None:
     write("shoehorn", shell, [(face, name) for face, (name, _, _) in zip(faces, parts, strict=True)])
 
 
-# A blade of 557 mm: sections with camber, less twist towards the tip; each side in 6 x 3 faces, and a root to hold it.
+# A blade of 557 mm: sections with camber, less twist towards the tip, and a root to hold it.
 
 
-def propeller_blade() -> None:
-    """A solid of faces `suction` and `pressure`, 18 each, root and tip, on a block with a bore and bolt holes."""
-    length, spans, chords = 557.0, 6, 3
+def propeller_blade(file: str, spans: int, chords: int) -> None:
+    """A shell of sides `suction` and `pressure` in so many faces each, on a block with a bore and bolt holes."""
+    length = 557.0
 
     def side(sign: float) -> Callable[[Array, Array], Array]:
         def at(s: Array, t: Array) -> Array:
@@ -197,7 +200,7 @@ def propeller_blade() -> None:
     builder.MakeCompound(both)
     for shape in (shell, block):
         builder.Add(both, shape)
-    write("propeller_blade", both, [(face, name) for face, name in zip(faces, names, strict=True)])
+    write(file, both, [(face, name) for face, name in zip(faces, names, strict=True)])
 
 
 def main() -> int:
@@ -207,7 +210,8 @@ def main() -> int:
         messages.RemovePrinter(printer)
     curved_plate()
     shoehorn()
-    propeller_blade()
+    propeller_blade("propeller_blade", 1, 1)
+    propeller_blade("propeller_blade_faces", 6, 3)
     return 0
 
 

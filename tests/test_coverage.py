@@ -17,10 +17,12 @@ from planner.toolpath.coverage.tours import (
     ORDERS,
     SampledSurface,
     TooManySamplesError,
+    VisitRule,
     along_surface,
     greedy,
     tour,
     weighted_greedy,
+    without_jumps,
 )
 
 SPACING = 0.01
@@ -87,6 +89,33 @@ def test_weighted_greedy_runs_from_side_to_side() -> None:
     assert not crosses(*found)
     count, total = measures.turns(found, SPACING)
     assert (count, total) == (6, pytest.approx(6 * np.pi / 2))
+
+
+def test_rows_of_other_lengths_leave_nothing_behind() -> None:
+    """Where the next row is longer or shorter, its last sample comes first, though its last but one may be nearer."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        lengths = 8 + np.cumsum(rng.integers(-1, 2, 12))
+        uv = np.concatenate([[[u, v] for v in range(n)] for u, n in enumerate(lengths)]) * SPACING
+        surface = flat(uv, np.repeat(np.arange(12), lengths))
+        order = weighted_greedy(surface)
+        assert measures.visits_each_once(order, len(uv))
+        assert len(without_jumps(surface, order)) == 1
+        assert not crosses(measures.laid(surface, order))
+
+
+def test_a_path_starts_where_it_is_told_and_leaves_a_row_for_its_weight() -> None:
+    surface = grid(4, 6)
+    last = len(surface.points) - 1
+    assert weighted_greedy(surface, VisitRule(start=last))[0] == last
+    uv = np.array([[u, v] for u in (0.0, 0.007) for v in (0.0, 0.01, 0.02)])
+    assert weighted_greedy(flat(uv, np.repeat([0, 1], 3)), VisitRule(weight=0.0))[1] == 3
+
+
+def test_a_path_is_cut_where_the_next_sample_is_no_neighbour() -> None:
+    surface = flat(SPACING * np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 0.0], [10.0, 0.0]]))
+    pieces = without_jumps(surface, np.arange(5))
+    assert [piece.tolist() for piece in pieces] == [[0, 1, 2], [3, 4]]
 
 
 @pytest.mark.slow

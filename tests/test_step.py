@@ -31,10 +31,11 @@ from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.part import StepSpec
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.coverage.measures import crossings, laid
 from planner.toolpath.step.body import SHELL, FaceBody
-from planner.toolpath.step.cover import _TURN, smooth_regions, spread
+from planner.toolpath.step.cover import _TURN, smooth_regions, spread, visits
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
-from planner.toolpath.step.sampling import TOLERANCE, sample_faces
+from planner.toolpath.step.sampling import TOLERANCE, Sampling, sample_faces
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 from planner.toolpath.step.top import faces_shape
 
@@ -206,7 +207,7 @@ def test_open_faces_have_a_shell_beneath(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_samples_stand_at_the_distance_and_off_the_hole(tmp_path: Path) -> None:
     top = [face for face in faces_of(holed(tmp_path)) if face.normals(face.loops[0][:1])[0, 2] > 0.9]
-    samples = sample_faces(FaceBody.of(top), 5e-3)
+    samples = sample_faces(FaceBody.of(top), Sampling((5e-3, 5e-3)))
     away = np.hypot(*(samples.points[:, :2] - 0.025).T)
     assert away.min() >= 8e-3 - 1e-5 and len(samples.points) == 121 - 9
     for row in np.unique(samples.row):
@@ -215,9 +216,55 @@ def test_samples_stand_at_the_distance_and_off_the_hole(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("along", "row", "apart"), [(0, 20e-3, 10e-3), (1, 10e-3, 20e-3)])
+def test_rows_run_along_either_parameter_at_distances_of_their_own(along: int, row: float, apart: float) -> None:
+    plate = FaceBody.of([face for face in faces_of(PROBLEMS / "curved_plate.step") if face.name == "top"])
+    samples = sample_faces(plate, Sampling((20e-3, 10e-3), along))
+    for number in np.unique(samples.row):
+        own = samples.row == number
+        assert np.ptp(samples.parameters[own, 1 - along]) == 0.0
+        steps = np.linalg.norm(np.diff(samples.points[own], axis=0), axis=1)
+        assert np.abs(steps - row).max() <= TOLERANCE
+    first = [samples.points[samples.row == number][0] for number in np.unique(samples.row)]
+    assert np.linalg.norm(np.diff(first, axis=0), axis=1).max() == pytest.approx(apart, rel=0.2)
+
+
+@pytest.mark.slow
+def test_samples_may_miss_the_distance_by_what_is_allowed() -> None:
+    plate = FaceBody.of([face for face in faces_of(PROBLEMS / "curved_plate.step") if face.name == "top"])
+    samples = sample_faces(plate, Sampling((10e-3, 10e-3), tolerance=1e-4))
+    own = samples.points[samples.row == 0]
+    off = np.abs(np.linalg.norm(np.diff(own, axis=0), axis=1) - 10e-3)
+    assert TOLERANCE < off.max() <= 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["curved_plate", "propeller_blade", "shoehorn"])
+def test_the_papers_path_crosses_nothing_on_the_shipped_faces(name: str) -> None:
+    problem = load_problem(name)
+    assert problem.layers.source.path == "weighted_greedy"
+    faces = faces_of(PROBLEMS / f"{name}.step")
+    numbers = choose_faces(problem.layers.source.faces, [(face.number, face.name) for face in faces], "part.step")
+    for region in smooth_regions([face for face in faces if face.number in numbers]):
+        samples, pieces = visits(FaceBody.of(region), problem.layers.source)
+        assert np.array_equal(np.sort(np.concatenate(pieces)), np.arange(len(samples.points)))
+        assert len(pieces) <= 2
+        assert len(crossings([laid(samples, piece) for piece in pieces if len(piece) > 1])) == 0
+
+
+@pytest.mark.slow
+def test_a_path_starts_near_the_place_that_is_given() -> None:
+    near = np.array([95.0, 190.0, 180.0])
+    problem = load_problem("curved_plate", ["layers.source.spacing_mm=40", f"layers.source.start_mm={near.tolist()}"])
+    first = build_toolpath(problem).beads[0].points[0]
+    plain = build_toolpath(load_problem("curved_plate", ["layers.source.spacing_mm=40"])).beads[0].points[0]
+    assert np.linalg.norm(first - near * 1e-3) < 0.04 < np.linalg.norm(plain - near * 1e-3)
+
+
+@pytest.mark.slow
 def test_steps_on_a_curved_face_are_chords_of_the_distance() -> None:
     plate = [face for face in faces_of(PROBLEMS / "curved_plate.step") if face.name == "top"]
-    samples = sample_faces(FaceBody.of(plate), 10e-3)
+    samples = sample_faces(FaceBody.of(plate), Sampling((10e-3, 10e-3)))
     for row in np.unique(samples.row):
         steps = np.linalg.norm(np.diff(samples.points[samples.row == row], axis=0), axis=1)
         assert np.abs(steps - 10e-3).max() <= TOLERANCE
@@ -225,7 +272,7 @@ def test_steps_on_a_curved_face_are_chords_of_the_distance() -> None:
 
 @pytest.mark.slow
 def test_samples_across_seams_keep_their_distance() -> None:
-    samples = sample_faces(FaceBody.of(faces_of(PROBLEMS / "shoehorn.step")), 10e-3)
+    samples = sample_faces(FaceBody.of(faces_of(PROBLEMS / "shoehorn.step")), Sampling((10e-3, 10e-3)))
     gaps = np.linalg.norm(samples.points[:, None] - samples.points, axis=2) + np.eye(len(samples.points))
     assert gaps.min() >= 5e-3 - 1e-9
     assert set(samples.face) == {0, 1, 2, 3}
@@ -351,13 +398,22 @@ def test_damaged_files_never_end_the_planner(tmp_path: Path, seed: int) -> None:
         ("layers.source.faces=[top, top]", ("layers.source.faces", "twice")),
         ("layers.source.path=spiral", ("layers.source.path", "rows")),
         ("layers.source.spacing_mm=0", ("layers.source.spacing_mm", "small")),
+        ("layers.source.spacing_v_mm=0", ("layers.source.spacing_v_mm", "small")),
+        ("layers.source.direction=w", ("layers.source.direction", "u, v")),
+        ("layers.source.weight=-1", ("layers.source.weight", "0 to 100")),
+        ("layers.source.start_mm=[1, 2]", ("layers.source.start_mm", "3 numbers")),
+        ("layers.source.tolerance_mm=0", ("layers.source.tolerance_mm", "1e-06 to 1")),
+        ("layers.source.weight=2 layers.source.path=rows", ("layers.source.weight", "path rows", "weighted_greedy")),
+        ("layers.source.start_mm=[0,0,0] layers.source.path=tour", ("layers.source.start_mm", "where it likes")),
+        ("layers.source.direction=u layers.source.path=rows", ("layers.source.direction", "path rows")),
         ("part={sphere: {radius_mm: 50}}", ("part", "step")),
     ],
 )
 def test_wrong_fields_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str, words: tuple[str, ...]
 ) -> None:
-    assert main(["curved_plate", "--set", change, "--out", str(tmp_path / "out")]) == 2
+    changes = [each for one in re.split(r" (?=layers)", change) for each in ("--set", one)]
+    assert main(["curved_plate", *changes, "--out", str(tmp_path / "out")]) == 2
     message = capsys.readouterr().err
     assert "Traceback" not in message
     for word in words:
@@ -382,7 +438,7 @@ def test_models_come_out_the_same(tmp_path: Path) -> None:
     script = tmp_path / "draw_step_models.py"
     script.write_bytes((PROBLEMS / "draw_step_models.py").read_bytes())
     subprocess.run([sys.executable, str(script)], check=True, capture_output=True)
-    for name in ("curved_plate", "propeller_blade", "shoehorn"):
+    for name in ("curved_plate", "propeller_blade", "propeller_blade_faces", "shoehorn"):
         drawn, ships = ((folder / f"{name}.step").read_text(encoding="ascii") for folder in (tmp_path, PROBLEMS))
         assert re.sub(NUMBER, "#", drawn.replace("\n", "")) == re.sub(NUMBER, "#", ships.replace("\n", ""))
         # the last digit, and the sign of zero, are the processor's

@@ -57,6 +57,12 @@ METRICS: dict[str, Measure] = {
         "s", "the same, in the middle", "median along what lies on others", ONLY_STACKED
     ),
     "interlayer_time_max_s": Measure("s", "the same, at most", "likewise", ONLY_STACKED),
+    "bead_crossings": Measure(
+        "places",
+        "where beads of a layer cross",
+        "counted: see beads cross nowhere",
+        "layers cover faces, or process.crossings is given",
+    ),
     "deposition_time_s": Measure("s", "time in which material is laid", "samples that deposit, times their spacing"),
     "ideal_deposition_time_s": Measure(
         "s", "that time if the speed never dipped", "length of the beads over the commanded speed"
@@ -401,6 +407,12 @@ CHECKS: dict[str, Measure] = {
         "from a layer's beginning to the next one's passes the time that a layer takes at least",
         "the limit is two samples less",
         "process.layer_time is given",
+    ),
+    "beads cross nowhere": Measure(
+        "places",
+        "no bead crosses another one of its layer, or itself, on the surface",
+        "executed tips, seen along the normals of what is printed on; a bead that ends on another one does not cross it",
+        "layers cover faces, or process.crossings: refused",
     ),
     "interlayer time at least": Measure(
         "s",

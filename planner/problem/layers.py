@@ -60,6 +60,9 @@ from planner.problem.yaml_file import describe, shorten
 CoverName = Literal["rows", "weighted_greedy", "greedy", "tour"]
 COVER_NAMES: tuple[str, ...] = get_args(CoverName)
 
+DirectionName = Literal["u", "v"]
+DIRECTION_NAMES: tuple[str, ...] = get_args(DirectionName)
+
 ShareName = Literal["purge", "skirt", "brim", "support", "ironing"]
 SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
@@ -80,6 +83,44 @@ class FacesSpec(SourceSection):
     path: Annotated[CoverName, one_of(COVER_NAMES)] = key(
         "path", f"how samples are joined: {', '.join(COVER_NAMES)}", "weighted_greedy"
     )
+    spacing_v: Annotated[float, Quantity("mm", 0.1, 1000)] | None = key(
+        "spacing_v_mm", "distance between samples along v [mm], where it is not that along u", None
+    )
+    direction: Annotated[DirectionName, one_of(DIRECTION_NAMES)] | None = key(
+        "direction",
+        "parameter of a face along which samples stand in rows: u or v; default: where the way is cut, or crosses itself, less",
+        None,
+    )
+    weight: Annotated[float, Quantity("", 0, 100)] | None = key(
+        "weight", "of weighted_greedy: distances between samples that leaving a row costs besides; default: 1", None
+    )
+    start: Position | None = key("start_mm", "place on the part near which the first bead starts [mm]", None)
+    tolerance: Annotated[float, Quantity("mm", 1e-6, 1)] | None = key(
+        "tolerance_mm", "by how much distances between samples may be off [mm]; default: 0.001", None
+    )
+
+    @property
+    def spacings(self) -> tuple[float, float]:
+        """Distances between samples along u and along v [m]."""
+        return self.spacing, self.spacing if self.spacing_v is None else self.spacing_v
+
+    @model_validator(mode="after")
+    def _as_joined(self) -> FacesSpec:
+        of_samples = {
+            "spacing_v": "spacing_v_mm",
+            "direction": "direction",
+            "start": "start_mm",
+            "tolerance": "tolerance_mm",
+        }
+        keys = of_samples | {"weight": "weight"}
+        not_asked = keys if self.path == "rows" else {} if self.path == "weighted_greedy" else {"weight": "weight"}
+        for name, told in not_asked.items():
+            if getattr(self, name) is not None:
+                with_it = "weighted_greedy" if name == "weight" else ", ".join(COVER_NAMES[1:])
+                raise refusal(f"path {self.path} knows nothing of it", f"it belongs to path: {with_it}", item=told)
+        if self.path == "tour" and self.start is not None:
+            raise refusal("a tour starts where it likes", "leave it out, or path: weighted_greedy", item="start_mm")
+        return self
 
 
 class FaceLayersSpec(Section):

@@ -58,6 +58,8 @@ HandOver = Literal["rest", "motion"]
 HAND_OVERS: tuple[str, ...] = get_args(HandOver)
 TravelName = Literal["quickest", "upright"]
 TRAVELS: tuple[str, ...] = get_args(TravelName)
+CrossingsName = Literal["refused", "told"]
+CROSSINGS_NAMES: tuple[str, ...] = get_args(CrossingsName)
 Heating = Literal["set", "wait"]
 HEATINGS: tuple[str, ...] = get_args(Heating)
 
@@ -503,6 +505,11 @@ class ProcessSpec(AroundBeadSpec):
         "materials", "several materials, by names; default: one, without a name", {}
     )
     change: ChangeSpec = key("change", "what happens between beads of two materials; each has a default", {})
+    crossings: Annotated[CrossingsName, one_of(CROSSINGS_NAMES)] | None = key(
+        "crossings",
+        "whether beads of a layer that cross are refused or told; default: refused where faces are covered, else not looked for",
+        None,
+    )
     split_beads: Truth = key(
         "split_beads",
         "whether a bead that cannot be followed in one go may be laid in pieces: the nozzle lifts off, the arm changes its "

@@ -58,7 +58,7 @@ def interlayer(judged: Judged) -> Findings:
     spec = judged.problem.process.interlayer_time
     if not judged.trajectory.deposit.any():
         return Findings()
-    places = _places(judged)
+    places = laid_places(judged)
     age, below = ages(places)
     known = np.flatnonzero(np.isfinite(age))
     checks = []
@@ -76,7 +76,7 @@ def interlayer(judged: Judged) -> Findings:
     return Findings(tuple(checks), metrics, {AGES: _by_sample(judged, places, age)})
 
 
-def _places(judged: Judged) -> LaidPlaces:
+def laid_places(judged: Judged) -> LaidPlaces:
     """Places along what the motion lays, a quarter of a bead's width apart; a nozzle that rests lays one."""
     laid, t = laid_beads(judged), judged.trajectory
     begins = np.append(True, np.diff(laid.bead) != 0)

@@ -39,6 +39,7 @@ from planner.verify.checks import (
     place,
 )
 from planner.verify.collision import keep_apart, sweep_cell
+from planner.verify.crossing import crossing
 from planner.verify.executed import executed_motion, straight_at, wrist_straightens
 from planner.verify.input_normals import file_normals
 from planner.verify.interlayer import interlayer
@@ -112,6 +113,7 @@ def verify(
             extrusion(judged),
             by_layer(judged),
             interlayer(judged),
+            crossing(judged),
             as_printed(judged),
             pressed(judged),
             _tip_outside(judged),

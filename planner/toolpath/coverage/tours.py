@@ -21,7 +21,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import njit
 
 # Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
@@ -65,7 +65,7 @@ class SampledSurface:
         """Chords between neighbours [m], (n, n) sparse and symmetric: the distance along the surface, near enough."""
         pairs = cKDTree(self.points).query_pairs(_REACH * max(self.spacing), output_type="ndarray")
         a, b = pairs[:, 0], pairs[:, 1]
-        same = np.einsum("ij,ij->i", self.normals[a], self.normals[b]) > _OTHER_SHEET
+        same = self.are_neighbours(a, b)
         a, b = a[same], b[same]
         # a chord of length zero would be no link: samples at one place (a pole) are a hair apart
         chord = np.maximum(np.linalg.norm(self.points[a] - self.points[b], axis=1), np.finfo(float).tiny)
@@ -73,6 +73,21 @@ class SampledSurface:
         return csr_array(
             (np.concatenate([chord, chord]), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(n, n)
         )
+
+    def are_neighbours(self, a: Ints, b: Ints) -> Flags:
+        """Whether samples a (k) and b (k) are near each other, on the same sheet."""
+        near = np.linalg.norm(self.points[a] - self.points[b], axis=1) <= _REACH * max(self.spacing)
+        return np.asarray(near & (np.einsum("ij,ij->i", self.normals[a], self.normals[b]) > _OTHER_SHEET))
+
+    def row_neighbours(self) -> tuple[Ints, Ints]:
+        """The sample before and after each one on its row (n,); n where there is none."""
+        n = len(self.row)
+        order = np.argsort(self.row, kind="stable")
+        a, b = order[:-1], order[1:]
+        beside = (self.row[a] == self.row[b]) & self.are_neighbours(a, b)
+        before, after = np.full(n, n), np.full(n, n)
+        before[b[beside]], after[a[beside]] = a[beside], b[beside]
+        return before, after
 
 
 def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Array:
@@ -161,23 +176,35 @@ def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
     return True
 
 
-def greedy(surface: SampledSurface) -> Ints:
+@dataclass(frozen=True)
+class VisitRule:
+    """What an order of visits may be told: the first sample, and how many spacings more a sample off the row costs."""
+
+    start: int = 0
+    weight: float = ROW_WEIGHT
+
+
+def greedy(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
     """Go to the nearest sample that has not been visited (n,); of equally near ones, to the one with the lowest index."""
-    return _nearest_first(surface, 0.0)
+    return _nearest_first(surface, rule.start, 0.0)
 
 
-def weighted_greedy(surface: SampledSurface) -> Ints:
-    """As greedy, but samples off the row cost ROW_WEIGHT spacings more (n,): from side to side, row by row."""
-    return _nearest_first(surface, ROW_WEIGHT * max(surface.spacing))
+def weighted_greedy(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
+    """As greedy, but samples off the row cost more (n,), and once more amid a row: from side to side, row by row.
+
+    The second weight is not the paper's. Rows differ in length, and where the next one is longer, its nearest sample is
+    not its last one, which would be left behind.
+    """
+    return _nearest_first(surface, rule.start, rule.weight * max(surface.spacing))
 
 
-def _nearest_first(surface: SampledSurface, weight: float) -> Ints:
-    """Start at the first sample; always go where distance plus weight is least."""
-    links = surface.links()
+def _nearest_first(surface: SampledSurface, start: int, weight: float) -> Ints:
+    """Always go where distance plus weight is least, from the first sample on."""
+    links, before, after = surface.links(), *surface.row_neighbours()
     n = len(surface.points)
-    order = np.zeros(n, dtype=np.int64)
-    left = np.ones(n, dtype=np.bool_)
-    left[0] = False
+    order = np.full(n, start, dtype=np.int64)
+    left = np.ones(n + 1, dtype=np.bool_)  # the last one stands for a neighbour that there is not
+    left[[start, n]] = False
     for k in range(1, n):
         here = int(order[k - 1])
         span = slice(links.indptr[here], links.indptr[here + 1])
@@ -187,23 +214,33 @@ def _nearest_first(surface: SampledSurface, weight: float) -> Ints:
         else:
             near = np.flatnonzero(left)
             way = along_surface(surface, links, order[k - 1 : k])[0, near]
+        off = surface.row[near] != surface.row[here]
+        amid = left[before[near]] & left[after[near]]
         # rounded, so that equally near ones are equal whatever the last digit says
-        price = np.round((way + weight * (surface.row[near] != surface.row[here])) / max(surface.spacing), 9)
+        price = np.round((way + weight * (off * (1.0 + amid))) / max(surface.spacing), 9)
         order[k] = near[np.argmin(price)]
         left[order[k]] = False
     return order
+
+
+def without_jumps(surface: SampledSurface, order: Ints) -> list[Ints]:
+    """An order of visits in pieces: where the next sample is no neighbour, the way would lead across what is printed."""
+    return np.split(order, np.flatnonzero(~surface.are_neighbours(order[:-1], order[1:])) + 1)
 
 
 class TooManySamplesError(ValueError):
     """A tour over more samples than MOST_SAMPLES."""
 
 
-def tour(surface: SampledSurface) -> Ints:
-    """A short open tour over the samples (n,), from near the greedy one. Raises TooManySamplesError."""
+def tour(surface: SampledSurface, rule: VisitRule = VisitRule()) -> Ints:
+    """A short open tour over the samples (n,), from near the greedy one; where it starts and ends is its own choice.
+
+    Raises TooManySamplesError.
+    """
     n = len(surface.points)
     if n > MOST_SAMPLES:
         raise TooManySamplesError(f"a tour over {n} samples: at most {MOST_SAMPLES}")
-    start = greedy(surface)
+    start = greedy(surface, rule)
     if n < 3:
         return start
     distance = along_surface(surface, surface.links(), np.arange(n, dtype=np.int64))
@@ -227,6 +264,6 @@ def tour(surface: SampledSurface) -> Ints:
     return improve(np.array(visited, dtype=np.int64), distance)
 
 
-ORDERS: MappingProxyType[str, Callable[[SampledSurface], Ints]] = MappingProxyType(
+ORDERS: MappingProxyType[str, Callable[[SampledSurface, VisitRule], Ints]] = MappingProxyType(
     {"greedy": greedy, "weighted_greedy": weighted_greedy, "tour": tour}
 )

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +20,24 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.geometry import subdivided
 from planner.problem import Problem
-from planner.problem.layers import FaceLayersSpec
+from planner.problem.layers import DIRECTION_NAMES, FaceLayersSpec, FacesSpec
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.coverage.measures import crossings, laid
 from planner.toolpath.coverage.rows import NotCoveredError, TooSmallError, cover
-from planner.toolpath.coverage.tours import ORDERS, TooManySamplesError
+from planner.toolpath.coverage.tours import (
+    ORDERS,
+    ROW_WEIGHT,
+    SampledSurface,
+    TooManySamplesError,
+    VisitRule,
+    without_jumps,
+)
 from planner.toolpath.interpolation import TooRough, calm_path, interpolate
 from planner.toolpath.ordering import nearest_first
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody, FacePlaces
 from planner.toolpath.step.files import Damaged, Face, choose_faces, read_faces
-from planner.toolpath.step.sampling import TooMany, sample_faces
+from planner.toolpath.step.sampling import TOLERANCE, Sampling, TooMany, sample_faces
 from planner.toolpath.step.top import faces_shape
 from planner.toolpath.task import roll_zeros
 
@@ -255,8 +264,8 @@ def _lines(problem: Problem, spec: FaceLayersSpec, region: Sequence[Face], body:
             strokes = cover(region, source.spacing, problem.process.speed)
             step = min(_STEP, _TURN * source.spacing)
             return [spread(np.vstack([s.points, s.points[:1]]) if s.closed else s.points, step) for s in strokes]
-        samples = sample_faces(body, source.spacing)
-        return pieces_on_faces(body, samples.points[ORDERS[source.path](samples)])
+        samples, pieces = visits(body, source)
+        return [line for piece in pieces for line in pieces_on_faces(body, samples.points[piece])]
     except (TooMany, TooManySamplesError):
         reason, hint = "gives too many samples on the faces", "a greater distance"
     except TooSmallError:
@@ -264,6 +273,34 @@ def _lines(problem: Problem, spec: FaceLayersSpec, region: Sequence[Face], body:
     except NotCoveredError as error:
         reason, hint = f"does not go: {error}", "another distance, or another path"
     raise problem.error("layers.source.spacing_mm", reason, hint)
+
+
+def visits(body: FaceBody, source: FacesSpec) -> tuple[SampledSurface, list[Ints]]:
+    """Samples of faces, and the order in which they are visited, in pieces.
+
+    Where no direction of rows is asked for, it is the one whose way is in fewer pieces, and then crosses itself less often.
+    Raises TooMany and TooManySamplesError.
+    """
+    asked = DIRECTION_NAMES[::-1] if source.direction is None else (source.direction,)
+    tolerance = TOLERANCE if source.tolerance is None else source.tolerance
+    found = []
+    for direction in asked:
+        samples = sample_faces(body, Sampling(source.spacings, DIRECTION_NAMES.index(direction), tolerance))
+        pieces = without_jumps(samples, ORDERS[source.path](samples, _rule(samples, source)))
+        lines = [laid(samples, piece) for piece in pieces if len(piece) > 1]
+        found.append(((len(pieces), len(crossings(lines)) if lines else 0), samples, pieces))
+        if found[-1][0] <= (1, 0):
+            break
+    return min(found, key=itemgetter(0))[1:]
+
+
+def _rule(samples: SampledSurface, source: FacesSpec) -> VisitRule:
+    """Where the order of visits starts, and what leaving a row costs."""
+    weight = ROW_WEIGHT if source.weight is None else source.weight
+    if source.start is None or not len(samples.points):
+        return VisitRule(weight=weight)
+    away = np.linalg.norm(samples.points - source.start, axis=1)
+    return VisitRule(int(np.argmin(away)), weight)
 
 
 def _curve(problem: Problem, spec: FaceLayersSpec, body: FaceBody, line: Array) -> FaceCurve:

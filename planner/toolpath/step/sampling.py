@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,10 @@ from planner.base.arrays import Array, Ints
 from planner.toolpath.coverage.tours import SampledSurface
 from planner.toolpath.step.body import ON_THE_RIM, FaceBody
 
-TOLERANCE = 1e-6  # m: the paper's t, by which a distance may miss the desired one
+TOLERANCE = 1e-6  # m, by which a distance between samples may be off where nothing is said
 MOST_SAMPLES = 200_000
 _TRIES = 60  # of rescaling a step
-_LINES = 9  # of constant v: steps along u are measured on the longest, for at a pole they have no length
+_LINES = 9  # across the rows: the distance of rows is measured on the longest
 _LOOKS = 33  # points of each of them
 _TOO_CLOSE = 0.5  # of the spacing between samples of different rows: nearer at a seam or a pole one is enough
 _OTHER_SHEET = 0.0  # cosine between normals, below which samples are not of one sheet
@@ -25,52 +26,79 @@ class TooMany(ValueError):
     """More than MOST_SAMPLES samples of a face."""
 
 
-def sample_faces(body: FaceBody, spacing: float) -> SampledSurface:
-    """Samples of all faces of a body, `spacing` [m] apart along u and v; nowhere nearer than half of that from row to row."""
+@dataclass(frozen=True)
+class Sampling:
+    """How faces are sampled.
+
+    spacing    desired distances along u and along v [m], the paper's d_u* and d_v*
+    along      parameter along which rows run: 0 for u, 1 for v; on a row the other one is constant
+    tolerance  by which a distance may miss the desired one [m], the paper's t
+    """
+
+    spacing: tuple[float, float]
+    along: int = 1
+    tolerance: float = TOLERANCE
+
+    @property
+    def row(self) -> float:
+        """Distance of neighbours on a row [m]."""
+        return self.spacing[self.along]
+
+    @property
+    def apart(self) -> float:
+        """Distance of neighbouring rows [m]."""
+        return self.spacing[1 - self.along]
+
+
+def sample_faces(body: FaceBody, sampling: Sampling) -> SampledSurface:
+    """Samples of all faces of a body; nowhere nearer than half of the lesser distance from row to row."""
     faces, uvs, rows = [], [], []
     start = 0
     for k in range(len(body.side)):
-        uv, row = _sample(body, k, spacing)
+        uv, row = _sample(body, k, sampling)
         faces.append(np.full(len(uv), k, dtype=np.int64))
         uvs.append(uv)
         rows.append(row + start)
         start += int(row.max(initial=-1)) + 1
     face, uv, row = np.concatenate(faces), np.vstack(uvs), np.concatenate(rows)
     at = body.at(face, uv)
-    keep = _clear_of_seams(at.points, at.normals, row, spacing)
-    return SampledSurface(at.points[keep], at.normals[keep], uv[keep], face[keep], row[keep], (spacing, spacing))
+    keep = _clear_of_seams(at.points, at.normals, row, min(sampling.spacing))
+    return SampledSurface(at.points[keep], at.normals[keep], uv[keep], face[keep], row[keep], sampling.spacing)
 
 
-def _sample(body: FaceBody, face: int, spacing: float) -> tuple[Array, Ints]:
-    """Parameters (n, 2) of the samples inside a face, and the line of constant u (n) that each stands on."""
+def _sample(body: FaceBody, face: int, sampling: Sampling) -> tuple[Array, Ints]:
+    """Parameters (n, 2) of the samples inside a face, and the row (n) that each stands on."""
+    along, across = sampling.along, 1 - sampling.along
     low, high = body.low[face], body.high[face]
+
+    def at(row: Array | float, place: Array) -> Array:
+        """Parameters (n, 2) of places on rows."""
+        uv = np.empty((len(place), 2))
+        uv[:, across], uv[:, along] = row, place
+        return uv
 
     def points(uv: Array) -> Array:
         return body.splines.points(np.full(len(uv), face), uv)
 
-    v = _longest_line(points, low, high)
-    u = _march(lambda at: points(np.column_stack([at, np.full(len(at), v)])), np.array([low[0]]), high[0], spacing)
-    u = u[:, 0]
-    lines = _march(lambda at: points(np.column_stack([u[: len(at)], at])), np.full(len(u), low[1]), high[1], spacing)
-    steps, count = lines.shape
-    uv = np.stack([np.broadcast_to(u, (steps, count)), lines], axis=-1)
-    row = np.broadcast_to(np.arange(count), (steps, count))
-    there = np.isfinite(lines)
-    uv, row = uv[there], row[there]
+    looks, lines = np.linspace(low[across], high[across], _LOOKS), np.linspace(low[along], high[along], _LINES)
+    grid = np.stack([points(at(looks, np.full(_LOOKS, line))) for line in lines])
+    lengths = np.linalg.norm(np.diff(grid, axis=1), axis=2).sum(axis=1)
+    longest = float(lines[int(np.argmax(lengths > lengths.max() * (1.0 - 1e-9)))])  # at a pole steps have no length
+    tolerance = sampling.tolerance
+    begun = np.array([low[across]])
+    row = _march(lambda c: points(at(c, np.full(len(c), longest))), begun, high[across], sampling.apart, tolerance)[
+        :, 0
+    ]
+    begun = np.full(len(row), low[along])
+    steps = _march(lambda c: points(at(row[: len(c)], c)), begun, high[along], sampling.row, tolerance)
+    number = np.broadcast_to(np.arange(len(row)), steps.shape)
+    there = np.isfinite(steps)
+    uv, number = at(np.broadcast_to(row, steps.shape)[there], steps[there]), number[there]
     inside = _on_face(body, face, uv)
-    return uv[inside], row[inside]
+    return uv[inside], number[inside]
 
 
-def _longest_line(points: Callable[[Array], Array], low: Array, high: Array) -> float:
-    """The v of the longest of some lines of constant v."""
-    looks, lines = np.linspace(low[0], high[0], _LOOKS), np.linspace(low[1], high[1], _LINES)
-    grid = np.stack(np.meshgrid(looks, lines, indexing="ij"), axis=-1).reshape(-1, 2)
-    steps = np.diff(points(grid).reshape(_LOOKS, _LINES, 3), axis=0)
-    lengths = np.linalg.norm(steps, axis=2).sum(axis=0)
-    return float(lines[int(np.argmax(lengths > lengths.max() * (1.0 - 1e-9)))])
-
-
-def _march(points: Callable[[Array], Array], start: Array, end: float, distance: float) -> Array:
+def _march(points: Callable[[Array], Array], start: Array, end: float, distance: float, tolerance: float) -> Array:
     """Parameters (k, n) of steps of `distance` [m] from start (n) up to `end`; NaN where a line has ended.
 
     Algorithm 2: the step in the parameter is rescaled by the desired over the present distance until that is right.
@@ -85,11 +113,11 @@ def _march(points: Callable[[Array], Array], start: Array, end: float, distance:
         for _ in range(_TRIES):
             off = np.linalg.norm(points(np.minimum(at + alpha, end)) - here, axis=1)
             beyond = at + alpha >= end
-            done = (np.abs(off - distance) <= TOLERANCE) | (beyond & (off <= distance))
+            done = (np.abs(off - distance) <= tolerance) | (beyond & (off <= distance))
             if done.all():
                 break
             low, high = np.where(off < distance, alpha, low), np.where(off > distance, alpha, high)
-            scaled = alpha * np.clip(distance / np.maximum(off, TOLERANCE), 0.1, 10.0)
+            scaled = alpha * np.clip(distance / np.maximum(off, tolerance), 0.1, 10.0)
             halved = np.where(np.isfinite(high), 0.5 * (low + high), 2.0 * alpha)
             scaled = np.where((scaled > low) & (scaled < high), scaled, halved)
             alpha = np.where(done, alpha, scaled)

@@ -90,7 +90,7 @@ def _sides(found: MeshedFaces, face: Ints, high: Array) -> Array:
 
 def _covered(judged: Judged, layers: FaceLayersSpec, found: MeshedFaces, places: Places) -> Check:
     """What of the faces no bead comes near to."""
-    spacing = layers.source.spacing
+    spacing = max(layers.source.spacings)
     points, area = found.spread(_SPACED * spacing)
     near = _NEAR.get(layers.source.path, _THROUGH_SAMPLES) * spacing + OFF_LEVEL
     begun = begun_layers(judged)
