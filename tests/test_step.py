@@ -27,6 +27,7 @@ from scipy.interpolate import NdBSpline
 from scipy.spatial import cKDTree
 
 from planner.base.errors import InputError
+from planner.collision.print_body import print_body
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.part import StepSpec
@@ -199,6 +200,37 @@ def test_open_faces_have_a_shell_beneath(tmp_path: Path) -> None:
     points = np.column_stack([np.full((4, 2), 0.02), height])
     assert np.allclose(body.signed_distance(points), [0.002, -0.002, SHELL * -0.1, 0.01], atol=1e-9)
     assert body.signed_distance(np.array([[-0.003, 0.02, -0.004]])) == pytest.approx(0.005, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_shell_is_as_thick_as_it_is_said_to_be(tmp_path: Path) -> None:
+    sheet = BRepBuilderAPI_MakeFace(gp_Pln(gp_Pnt(0, 0, 0), gp_Dir(0, 0, 1)), 0.0, 50.0, 0.0, 50.0).Face()
+    faces = faces_of(written(tmp_path, sheet))
+    points = np.column_stack([np.full((3, 2), 0.02), [0.002, -0.002, -0.009]])
+    assert np.allclose(FaceBody.of(faces, 3e-3).signed_distance(points), [0.002, -0.001, 0.006], atol=1e-9)
+    assert np.allclose(FaceBody.of(faces, 0.0).signed_distance(points), [0.002, 0.002, 0.009], atol=1e-9)
+    solid = faces_of(PROBLEMS / "curved_plate.step")
+    inside = np.array([[0.0, 0.0, 0.0975]])
+    assert FaceBody.of(solid, 0.0).signed_distance(inside) < 0.0  # a closed body is solid all through
+
+
+SHEET = ("layers.source.spacing_mm=20", "part.step.rpy_deg=[100, 0, 0]", "part.step.origin_mm=[0, 0, 250]")
+
+
+@pytest.mark.slow
+def test_a_sheet_in_the_air_is_in_nobodys_way() -> None:
+    names = {}
+    for thickness in (0, 10):
+        toolpath = build_toolpath(load_problem("shoehorn", (*SHEET, f"part.step.thickness_mm={thickness}")))
+        names[thickness] = set(print_body(toolpath).names)
+        assert toolpath.shape is not None
+    assert names[10] - names[0] == {"part"}
+
+
+@pytest.mark.slow
+def test_a_sheet_that_hangs_over_is_planned_and_verified(tmp_path: Path) -> None:
+    given = [each for one in (*SHEET, "part.step.thickness_mm=0") for each in ("--set", one)]
+    assert main(["shoehorn", *given, "--out", str(tmp_path / "out")]) == 0
 
 
 # Samples
@@ -402,6 +434,7 @@ def test_damaged_files_never_end_the_planner(tmp_path: Path, seed: int) -> None:
         ("layers.source.direction=w", ("layers.source.direction", "u, v")),
         ("layers.source.weight=-1", ("layers.source.weight", "0 to 100")),
         ("layers.source.start_mm=[1, 2]", ("layers.source.start_mm", "3 numbers")),
+        ("part.step.thickness_mm=-1", ("part.step.thickness_mm", "0 to 1000")),
         ("layers.source.tolerance_mm=0", ("layers.source.tolerance_mm", "1e-06 to 1")),
         ("layers.source.weight=2 layers.source.path=rows", ("layers.source.weight", "path rows", "weighted_greedy")),
         ("layers.source.start_mm=[0,0,0] layers.source.path=tour", ("layers.source.start_mm", "where it likes")),

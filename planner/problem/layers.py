@@ -88,7 +88,7 @@ class FacesSpec(SourceSection):
     )
     direction: Annotated[DirectionName, one_of(DIRECTION_NAMES)] | None = key(
         "direction",
-        "parameter of a face along which samples stand in rows: u or v; default: where the way is cut, or crosses itself, less",
+        "parameter of a face along which samples stand in rows: u or v; default: where the way crosses itself, or is cut, less",
         None,
     )
     weight: Annotated[float, Quantity("", 0, 100)] | None = key(

@@ -149,6 +149,9 @@ class StepSpec(Section):
     rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
     )
+    thickness: Annotated[float, Quantity("mm", 0, 1000)] = key(
+        "thickness_mm", "of the material beneath open faces [mm]; 0: none, the sheet is printed in the air", 10
+    )
     sew: Annotated[float, Quantity("mm", 1e-4, 1)] = key(
         "sew_mm", "how far apart edges of loose faces, as of IGES, may lie and be one [mm]", 1e-2
     )

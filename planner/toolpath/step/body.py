@@ -144,7 +144,7 @@ def all_inside(face: Ints, uv: Array, rims: RimArrays) -> NDArray[np.bool_]:
 # ----------------------------------------------------------------------------------------------------
 # The search for the nearest place on faces, point by point, compiled.
 
-SHELL = 10e-3  # m of material beneath open faces: nothing else is known of it
+SHELL = 10e-3  # m of material beneath open faces, where nothing is said of it
 _ASIDE = 1e-8  # m, by which a perpendicular may miss a point
 _TINY = 1e-300
 
@@ -216,12 +216,12 @@ def signed(
     splines: SplineArrays,
     side: Ints,
     rims: RimArrays,
-    closed: bool,
+    shell: float,
 ) -> tuple[Array, Array]:
     """Signed distances (n,) [m] and the normals (n, 3) at the nearest places.
 
-    points (n, 3) [m]; near (n, c): the samples nearest to each; side (k) as in `FaceBody`; closed: whether the faces
-    enclose a body
+    points (n, 3) [m]; near (n, c): the samples nearest to each; side (k) as in `FaceBody`; shell: thickness of the
+    material beneath the faces [m], without end where they enclose a body
     """
     sample_face, sample_uv, sample_points = samples
     knots, poles, table, domain = splines
@@ -292,10 +292,8 @@ def signed(
         gap = np.sqrt(best)
         if above >= 0.0 or not straight:
             out[i] = gap
-        elif closed:
-            out[i] = -gap
         else:
-            out[i] = max(-gap, gap - SHELL)
+            out[i] = max(-gap, gap - shell)
     return out, normals
 
 
@@ -327,6 +325,7 @@ class FaceBody:
                        there, whether their edge has a face on both sides (m), index (m) of the next one, first (k + 1)
                        of each face
     sample ...         samples: face (s), uv (s, 2), and the tree of their points
+    shell              thickness of the material beneath open faces [m]
     """
 
     splines: SplineSet
@@ -343,9 +342,10 @@ class FaceBody:
     sample_face: Ints
     sample_uv: Array
     tree: cKDTree
+    shell: float = SHELL
 
     @classmethod
-    def of(cls, faces: Sequence[Face]) -> FaceBody:
+    def of(cls, faces: Sequence[Face], shell: float = SHELL) -> FaceBody:
         """The body of faces, at least one."""
         splines = SplineSet.of([face.surface for face in faces])
         side = np.array([face.side for face in faces], dtype=np.int64)
@@ -386,7 +386,7 @@ class FaceBody:
         sample_face = np.concatenate([owner[~pole], *[np.full(len(g), k, dtype=np.int64) for k, g in enumerate(grids)]])
         sample_uv = np.vstack([rim_uv[~pole], *grids])  # at a pole no foot can be looked for
         tree = cKDTree(splines.points(sample_face, sample_uv))
-        return cls(**{**vars(body), "sample_face": sample_face, "sample_uv": sample_uv, "tree": tree})
+        return cls(**{**vars(body), "sample_face": sample_face, "sample_uv": sample_uv, "tree": tree, "shell": shell})
 
     @property
     def rims(self) -> RimArrays:
@@ -454,6 +454,11 @@ class FaceBody:
         )
         return self.at(found, place)
 
+    @property
+    def closed(self) -> bool:
+        """Whether the faces enclose a body."""
+        return bool(self.rim_shared.all())
+
     def signed_distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the material [m]; negative inside."""
         return self._nearest(points)[0]
@@ -466,8 +471,8 @@ class FaceBody:
         _, near = self.tree.query(points, k=min(_CANDIDATES, self.tree.n))
         near = np.ascontiguousarray(near.reshape(len(points), min(_CANDIDATES, self.tree.n)))
         samples = SampleArrays(self.sample_face, self.sample_uv, np.asarray(self.tree.data))
-        closed = bool(self.rim_shared.all())
-        return signed(read_only(points), near, samples, self.splines.arrays, self.side, self.rims, closed)
+        shell = np.inf if self.closed else self.shell
+        return signed(read_only(points), near, samples, self.splines.arrays, self.side, self.rims, shell)
 
 
 def _to_segments(points: Array, a: Array, b: Array) -> Array:

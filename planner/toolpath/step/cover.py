@@ -245,10 +245,13 @@ def cover_faces(problem: Problem, spec: FaceLayersSpec) -> Toolpath:
             "layers.source.spacing_mm", "no bead fits onto the faces", "a smaller distance, or a narrower bead"
         )
     beads, tracks = lay_layers(_in_turn(curves), spec.count, spec.height, process.bead.width, process.bead.height)
-    surface = FaceLayers(FaceBody.of(faces), spec.height, tuple(tracks))
+    whole = FaceBody.of(faces, part.step.thickness)
+    surface = FaceLayers(whole, spec.height, tuple(tracks))
     if dots:
         notes = (*notes, f"{dots} samples or lines shorter than the bead is wide are left out")
-    return Toolpath(tuple(beads), surface, faces_shape(faces), notes)
+    in_the_air = part.step.thickness == 0.0 and not whole.closed
+    nothing = np.empty((0, 3, 3)) if in_the_air else None
+    return Toolpath(tuple(beads), surface, faces_shape(faces), notes, solid=nothing)
 
 
 def _name(region: Sequence[Face], number: int) -> str:
@@ -278,7 +281,7 @@ def _lines(problem: Problem, spec: FaceLayersSpec, region: Sequence[Face], body:
 def visits(body: FaceBody, source: FacesSpec) -> tuple[SampledSurface, list[Ints]]:
     """Samples of faces, and the order in which they are visited, in pieces.
 
-    Where no direction of rows is asked for, it is the one whose way is in fewer pieces, and then crosses itself less often.
+    Where no direction of rows is asked for, it is the one whose way crosses itself less often, and then is in fewer pieces.
     Raises TooMany and TooManySamplesError.
     """
     asked = DIRECTION_NAMES[::-1] if source.direction is None else (source.direction,)
@@ -288,8 +291,8 @@ def visits(body: FaceBody, source: FacesSpec) -> tuple[SampledSurface, list[Ints
         samples = sample_faces(body, Sampling(source.spacings, DIRECTION_NAMES.index(direction), tolerance))
         pieces = without_jumps(samples, ORDERS[source.path](samples, _rule(samples, source)))
         lines = [laid(samples, piece) for piece in pieces if len(piece) > 1]
-        found.append(((len(pieces), len(crossings(lines)) if lines else 0), samples, pieces))
-        if found[-1][0] <= (1, 0):
+        found.append(((len(crossings(lines)) if lines else 0, len(pieces)), samples, pieces))
+        if found[-1][0] <= (0, 1):
             break
     return min(found, key=itemgetter(0))[1:]
 
