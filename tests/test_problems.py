@@ -76,6 +76,7 @@ SMALL = {
     "shoehorn": ("layers.source.spacing_mm=20",),
     "cylinder_logo": ("layers.count=1",),
     "ceiling_logo": ("layers.count=1",),
+    "hemisphere_logo": ("layers.count=1",),
     "saddle_ring": ("layers.infill.density=0.1",),
     "naca0015_wing": WING,
     "naca0015_wing_tapered": (*WING, "layers.source.tip={chord_mm: 76, sweep_mm: 1.5}"),
