@@ -24,7 +24,7 @@ from planner.problem.rewrite import write_changed
 from planner.register.command import main
 from planner.register.contacts import locate, plate_poses, read_readings
 from planner.register.finding import Ask, Scene, plan_contacts, register, scene_of, suggest_next
-from planner.register.fitting import UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
+from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
 from planner.register.telling import changes_of, rpy_degrees
 
 Array = NDArray[np.float64]
@@ -117,6 +117,44 @@ def test_exact_contacts_give_the_exact_placement(tmp_path: Path, name: str, coun
     if blind == 0:
         move, turn = apart(truth, now)
         assert move < 1e-8 and np.abs(turn).max() < 1e-7
+
+
+@pytest.mark.slow(keep=("fibre_bowl-*",))
+@pytest.mark.parametrize(
+    ("name", "count", "still"),
+    [
+        ("fibre_bowl", 12, ("rz",)),
+        ("hemisphere_honeycomb", 10, ("rx", "ry", "rz")),
+        ("fibre_plane", 10, ("x", "y", "rz")),
+        ("fibre_corrugated", 12, ("y",)),
+    ],
+)
+def test_what_contacts_do_not_see_is_left_exactly_as_it_was(
+    tmp_path: Path, name: str, count: int, still: tuple[str, ...]
+) -> None:
+    """A bowl was turned about its own axis by up to 24 degrees, by what seen turns add up to."""
+    here = scene(name)
+    for seed in (3, 4):
+        random = np.random.default_rng(seed)
+        truth = misplaced(here, random.normal(0.0, 3.0, 3), random.normal(0.0, 2.0, 3))
+        off = random.normal(0.0, 5e-5, count)
+        found = register(here, contacts(tmp_path, name, truth, count, off), Ask())
+        assert len(found.held) >= 1
+        now, centre = found.fit.placement.T_plate_part, found.fit.touch.unknowns.centre
+        moved = np.linalg.inv(here.start.T_plate_part) @ now
+        way = moved[:3, :3] @ centre + moved[:3, 3] - centre
+        turn = Rotation.from_matrix(moved[:3, :3]).as_rotvec()
+        gone = dict(zip(FREEDOMS, [*way, *turn], strict=True))
+        assert max(abs(gone[freedom]) for freedom in still) < 1e-6
+        assert max(map(abs, gone.values())) > 1e-3
+
+
+def test_a_ball_keeps_its_direction_in_the_problem(tmp_path: Path) -> None:
+    here = scene("hemisphere_honeycomb")
+    truth = misplaced(here, MOVED, TURNED)
+    found = register(here, contacts(tmp_path, "hemisphere_honeycomb", truth, 10), Ask())
+    changes = changes_of(here.problem, found.fit.placement, here.start, FREEDOMS)
+    assert set(changes) == {"cell.bed_mm"}
 
 
 def test_a_bowl_that_is_not_round_has_no_freedom_left(tmp_path: Path) -> None:

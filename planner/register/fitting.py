@@ -252,6 +252,8 @@ _FARTHEST_STEP = 0.05  # m: the distance of a bent surface is no straight line
 _SETS = 400  # of contacts that are tried, at most
 _AGREEMENTS = 6  # times that contacts are chosen anew at the placement that the last choice gave
 _UNSEEN = 1e-9  # added to squares of columns: a direction that none of the contacts sees, to far below SEEN
+_TURNS_FIRST = 1e9  # by which a turn that is not seen counts for more than a slide
+_UNMOVED = 1e-9  # m along what is not seen, that end the way back
 _DOUBT = 0.002  # probability of leaving out a contact that is as good as the others: that makes all seem more exact
 
 
@@ -327,7 +329,44 @@ def fit(touch: Touch, start: Placement, noise: float | None = None) -> Fit:
         placement = _settled(touch, placement, kept.astype(float), _LAST_STEPS)
         if (kept == before).all():
             break
-    return Fit(touch, placement, kept)
+    return Fit(touch, _least_moved(touch, start, placement, kept), kept)
+
+
+def _least_moved(touch: Touch, start: Placement, placement: Placement, kept: Flags) -> Placement:
+    """Of all placements that the contacts cannot tell from this one, the one that is not moved from the start in ways that
+    they do not see; turns come first, where a slide and a turn are one.
+
+    Turns that are seen add up to one that is not, and so do the starts of the search: a bowl would be turned about its own
+    axis, by whatever came of it.
+    """
+    unknowns = touch.unknowns
+    first = np.ones(UNKNOWNS)
+    first[TURNS] = _TURNS_FIRST
+    for _ in range(_LAST_STEPS):
+        hidden = split(touch.columns(placement)[kept])[1]
+        if hidden.shape[1] == 0:
+            break
+        unseen = (unknowns.basis @ hidden * first[:, None]).T
+        away = _away(unknowns, start, placement)
+        ahead = [placement.moved(unknowns.step(_ASIDE * way), unknowns.centre) for way in hidden.T]
+        slope = np.column_stack([(_away(unknowns, start, each) - away) / _ASIDE for each in ahead])
+        back = -np.linalg.lstsq(unseen @ slope, unseen @ away, rcond=None)[0]
+        back *= min(1.0, _FARTHEST_STEP / max(float(np.linalg.norm(back)), 1e-300))
+        placement = placement.moved(unknowns.step(hidden @ back), unknowns.centre)
+        placement = _settled(touch, placement, kept.astype(float), _STEPS)
+        if np.linalg.norm(back) < _UNMOVED:
+            break
+    return placement
+
+
+def _away(unknowns: Unknowns, start: Placement, placement: Placement) -> Array:
+    """How far a placement is from the start, in unknowns (10) that are all in metres."""
+    T = np.linalg.inv(start.T_plate_part) @ placement.T_plate_part
+    out = np.empty(UNKNOWNS)
+    out[:3] = T[:3, :3] @ unknowns.centre + T[:3, 3] - unknowns.centre
+    out[TURNS] = Rotation.from_matrix(T[:3, :3]).as_rotvec() * unknowns.lever
+    out[SHIFTS], out[SIZE] = placement.shift - start.shift, placement.growth - start.growth
+    return out
 
 
 def most_wrong(n: int, rank: int) -> int:

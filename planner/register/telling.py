@@ -27,7 +27,7 @@ from planner.register.places import TouchPlaces
 # The fields of a problem file that say where its part and its table are.
 
 _MM, _DEG = 4, 5  # decimals: a tenth of a micrometre, and as much at a metre
-_TURNED = 1e-9  # rad: less is rounding
+_TURNED = 1e-8  # rad: less is rounding
 
 
 def changes_of(problem: Problem, placement: Placement, start: Placement, free: Sequence[str]) -> dict[str, Value]:
