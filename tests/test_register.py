@@ -393,6 +393,67 @@ def test_both_ways_to_a_turntable_are_told(tmp_path: Path) -> None:
         register(here, tmp_path / "c.csv", Ask(table=True))
 
 
+def from_one_side(
+    here: Scene, seed: int, noise: float, shift: Sequence[float], moved: Sequence[float]
+) -> dict[str, Array]:
+    """Nine contacts of a nozzle that always comes along +x of the world, at nine angles of a table that is shifted, on a
+    cylinder that is moved on it [m]."""
+    random = np.random.default_rng(seed)
+    a = np.radians(np.linspace(-160.0, 160.0, 9))[:, None]
+    T = plate_poses(here.cell, a)
+    centre = np.asarray(here.problem.part.cylinder.centre) + moved
+    at = np.einsum("nij,j->ni", T[:, :3, :3], [*centre, 0.05 + here.start.T_plate_part[2, 3]]) + T[:, :3, 3]
+    beside = random.normal(0.0, noise, 9)
+    depth = np.sqrt(34e-3**2 - beside**2) + random.normal(0.0, noise, 9)
+    tips = at + [*shift, 0.0] + np.column_stack([-depth, beside, np.zeros(9)])
+    side = np.tile([1.0, 0.0, 0.0], (9, 1))
+    return cartesian(here, tips, a) | {f"a{axis}": side[:, k] for k, axis in enumerate("xyz")}
+
+
+def test_the_published_answer_is_written_from_nine_contacts_of_one_side(tmp_path: Path) -> None:
+    here, shift, moved = scene("cylinder_logo"), (0.4e-3, -0.3e-3), (0.8e-3, 0.5e-3)
+    spec, off = here.problem.cell.positioner, []
+    for seed in range(20):
+        file = write_contacts(tmp_path / f"{seed}.csv", from_one_side(here, seed, 5e-5, shift, moved))
+        out = tmp_path / f"{seed}.yaml"
+        assert main([str(file), "cylinder_logo", "--published", "--out", str(out)]) == EXIT_VERIFIED
+        now = load_problem(out).cell.positioner
+        axis = np.asarray(now.origin) - np.asarray(spec.origin) - [*shift, 0.0]
+        cylinder = np.asarray(now.part) - np.asarray(spec.part) - [*moved, 0.0]
+        assert axis[2] == cylinder[2] == 0.0 and now.part_rpy == spec.part_rpy
+        off.append([np.linalg.norm(axis), np.linalg.norm(cylinder)])
+    assert np.mean(np.array(off) <= 5e-5, axis=0).min() >= 0.9
+    np.testing.assert_allclose(off, 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("problem", "columns", "words"),
+    [
+        ("peer_cap", "xyz", "is no cylinder"),
+        ("cylinder_logo", "xyz", "from which side"),
+        ("cylinder_logo", "still", "cannot tell the table's axis"),
+        ("cylinder_logo", "far", "do not lie on this cylinder"),
+    ],
+)
+def test_what_the_published_way_cannot_do_is_refused(
+    tmp_path: Path, problem: str, columns: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here = scene("cylinder_logo")
+    found = from_one_side(here, 0, 0.0, (0.0, 0.0), (0.0, 0.0))
+    if columns == "xyz":
+        found = {name: values for name, values in found.items() if name not in ("ax", "ay", "az")}
+    if columns == "still":
+        found["rotation"] = np.zeros(9)
+    if columns == "far":
+        found["x_mm"] = found["x_mm"] + np.linspace(0.0, 30.0, 9) ** 2
+    if problem == "peer_cap":
+        found.pop("rotation")
+    file = write_contacts(tmp_path / "c.csv", found)
+    assert main([str(file), problem, "--published", "--out", str(tmp_path / "out.yaml")]) == EXIT_INPUT
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "out.yaml").exists()
+
+
 # Freedoms in words
 
 

@@ -17,9 +17,26 @@ from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
 from planner.planning.options import add_problem
 from planner.problem import load_problem
 from planner.problem.rewrite import write_changed
-from planner.register.finding import Ask, freedoms_of, plan_contacts, register, scene_of, suggest_next
+from planner.register.finding import (
+    Ask,
+    Scene,
+    as_published,
+    freedoms_of,
+    plan_contacts,
+    register,
+    scene_of,
+    suggest_next,
+)
 from planner.register.fitting import FREEDOMS
-from planner.register.telling import KINDS, changes_of, lines_of, place_words, verdict, write_picture
+from planner.register.telling import (
+    KINDS,
+    changes_of,
+    lines_of,
+    place_words,
+    published_lines,
+    verdict,
+    write_picture,
+)
 
 TOLERANCE_MM = 0.1  # a fifth of the thinnest layers that ship
 MOST_SUGGESTED = 100
@@ -37,6 +54,8 @@ def _run(options: argparse.Namespace) -> int:
     target = options.out or Path(f"{problem.file.stem}_registered.yaml")
     _check_target(target)
     scene = scene_of(problem)
+    if options.published:
+        return _published(options, scene, target)
     ask = _ask(options)
     found = register(scene, options.contacts, ask)
     fit = found.fit
@@ -49,6 +68,16 @@ def _run(options: argparse.Namespace) -> int:
     if options.report is not None:
         write_picture(found, options.tolerance, sentence, lines, options.report)
     return EXIT_VERIFIED if good else EXIT_NOT_VERIFIED
+
+
+def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
+    """Place table and cylinder by the published equation."""
+    table, placement = as_published(scene, options.contacts)
+    changes = changes_of(scene.problem, placement, scene.start, ("x", "y"))
+    write_changed(scene.problem, changes, target)
+    load_problem(target)
+    print("\n".join([*published_lines(table, changes), f"written to {target}"]))
+    return EXIT_VERIFIED if table.cost <= options.tolerance else EXIT_NOT_VERIFIED
 
 
 def _suggest(options: argparse.Namespace) -> int:
@@ -109,6 +138,11 @@ def register_command() -> Command:
         help="freedoms of the part, of x,y,z,rx,ry,rz (default all; of a cylinder x,y)",
     )
     parser.add_argument("--table", action="store_true", help="find the table's axis, too: touch at several angles")
+    parser.add_argument(
+        "--published",
+        action="store_true",
+        help="a cylinder on a turntable by Pollard et al., eq. (1): contacts from one side, with the nozzle's direction",
+    )
     parser.add_argument("--size", action="store_true", help="find the radius of a cylinder or a sphere, too")
     parser.add_argument(
         "--ball-mm", metavar="MM", type=float, default=0.0, help="radius of what touches, at the tip (default 0)"
@@ -125,6 +159,12 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     options: argparse.Namespace = parser.parse_args(arguments)
     if (options.contacts is None) != (options.suggest is not None):
         parser.error("give CONTACTS.csv and PROBLEM, or --suggest N and PROBLEM")
+    if options.published and (
+        options.contacts is None or options.free or options.table or options.size or options.report
+    ):
+        parser.error(
+            "--published finds the table and the cylinder on it: leave out --free, --table, --size and --report"
+        )
     if options.suggest is not None and not 1 <= options.suggest <= MOST_SUGGESTED:
         parser.error(f"--suggest: 1 to {MOST_SUGGESTED}")
     if not 0.0 <= options.ball_mm <= 50.0:

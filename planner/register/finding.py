@@ -195,6 +195,46 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     )
 
 
+def as_published(scene: Scene, file: Path) -> tuple[Turntable, Placement]:
+    """The table's axis and the cylinder on it by Pollard et al., eq. (1), and the placement that this makes.
+
+    Contacts of a nozzle that always comes from one side are enough, at several angles of the table.
+    Raises InputError for other parts and tables, and for contacts that this cannot be told from.
+    """
+    readings = read_readings(file, scene.cell)
+    contacts = contacts_of(scene.cell, readings)
+    part, cell = scene.problem.part, scene.cell
+    if part is None or part.cylinder is None:
+        raise scene.problem.error(
+            "part", "is no cylinder", "eq. (1) is for a cylinder on a turntable: leave out --published"
+        )
+    if cell.holder_robot is None or not len(cell.holder):
+        raise scene.problem.error("cell", "has no table that turns", "--published is for a positioner with a free axis")
+    if contacts.axes is None:
+        raise InputError(
+            "nothing says from which side the nozzle came",
+            file=file,
+            hint="columns ax, ay, az: the nozzle's direction in the world",
+        )
+    table = _turntable(scene, contacts)
+    if table is None:
+        raise InputError(
+            "eq. (1) cannot tell the table's axis from these contacts",
+            file=file,
+            hint="an upright table at two angles or more, and a nozzle that comes from the side",
+        )
+    if table.cost > MISFIT:
+        raise InputError(
+            f"the contacts do not lie on this cylinder: by eq. (1) they are {table.cost * 1e3:.1f} mm off on average",
+            file=file,
+            hint="a nozzle that always comes from one side, straight at the cylinder's axis; lengths in mm in the world",
+        )
+    T = scene.start.T_plate_part.copy()
+    T[:2, 3] = table.cylinder - T[:2, :2] @ np.asarray(part.cylinder.centre)
+    shift = np.append(table.axis - contacts.T_world_plate[0, :2, 3], 0.0)
+    return table, Placement(T, shift)
+
+
 def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:
     """The place to touch next, as a row of places, and what share of the worst error in height it would leave; None
     where the arm touches no place along its normal and is clear of everything else."""

@@ -19,6 +19,7 @@ from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.problem import Problem
 from planner.problem.rewrite import Value
+from planner.register.contacts import Turntable
 from planner.register.finding import MISFIT, Registration, Scene
 from planner.register.fitting import Placement
 from planner.register.places import TouchPlaces
@@ -184,6 +185,18 @@ def lines_of(
         spot = place_words(found.scene, places, k, fit.placement)
         out.append(f"touch next: {spot}; leaves {left * 100:.0f} % of the worst error")
     return out
+
+
+def published_lines(table: Turntable, changes: Mapping[str, Value]) -> list[str]:
+    """What eq. (1) of Pollard et al. says, contact by contact."""
+    off = np.linalg.norm(table.off, axis=1) * 1e3
+    return [
+        "contact      off mm",
+        *(f"{i:<10} {each:+9.3f}" for i, each in enumerate(off, 1)),
+        f"Pollard's eq. (1), sum of absolute differences: {table.cost * 1e3:.3f} mm off on average",
+        *(f"found {field}: {value}" for field, value in changes.items()),
+        "how sure the nozzle's height is, this does not tell; leave out --published for contacts from all sides",
+    ]
 
 
 def turntable_lines(found: Registration) -> list[str]:
