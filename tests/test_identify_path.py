@@ -21,14 +21,8 @@ from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
 from planner.feedback.identify_command import main
-from planner.feedback.identify_log import read_log
-from planner.feedback.identify_path import (
-    CommandedPath,
-    FollowedPath,
-    findings,
-    follow,
-    off_commands,
-)
+from planner.feedback.identify_findings import findings
+from planner.feedback.identify_path import CommandedPath, FollowedPath, follow, off_commands
 from planner.feedback.identify_robot_file import robots_of, write_controller
 from planner.feedback.identify_run import (
     PlannedRun,
@@ -37,6 +31,7 @@ from planner.feedback.identify_run import (
     planned_run,
     recorded_run,
 )
+from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.plan.seal import sealed
 from planner.planning.pipeline import write

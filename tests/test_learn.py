@@ -28,7 +28,6 @@ from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import followed
-from planner.feedback.identify_log import read_log
 from planner.feedback.learn_command import language_of, learned_plan, main, ran_plan
 from planner.feedback.learn_fit import (
     Lessons,
@@ -42,8 +41,10 @@ from planner.feedback.learn_fit import (
     next_lessons,
 )
 from planner.feedback.learn_telling import next_name, read_lessons, write_lessons, write_problem
-from planner.feedback.learn_track import PlannedWay, planned_way, recorded_way, track
+from planner.feedback.learn_track import nozzle_path, recorded_way
 from planner.feedback.planned import planned_problem
+from planner.feedback.recordings import read_log
+from planner.feedback.tracking import TrackedPath, track
 from planner.motion.as_run import FADE, Corrections, asked_trajectory, displacements, read_corrections
 from planner.plan import Plan, Trajectory
 from planner.plan.seal import changed_since, sealed
@@ -109,7 +110,7 @@ def failed(plan: Plan, asked: Trajectory | None) -> set[str]:
 # A run against its plan.
 
 
-def brute_place(plan: PlannedWay, point: Array) -> float:
+def brute_place(plan: TrackedPath, point: Array) -> float:
     a, b = plan.points[:-1], plan.points[1:]
     step = b - a
     u = np.clip(((point - a) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
@@ -127,8 +128,8 @@ def test_places_along_an_open_curve_are_the_nearest_ones(seed: int, every: float
     at = np.append(np.arange(0.0, 100.0, every), 100.0)
     run = np.column_stack([np.interp(at, np.arange(101), column) for column in tip.T])
     run += random.normal(0.0, 2e-5, run.shape)
-    way = planned_way(tip, axis)
-    ran = planned_way(run, np.tile(axis[0], (len(run), 1)))
+    way = nozzle_path(tip, axis)
+    ran = nozzle_path(run, np.tile(axis[0], (len(run), 1)))
     place, off = track(way, ran.points, np.diff(ran.way, prepend=0.0))
     there = [brute_place(way, np.append(point, 0.05 * axis[0])) for point in run]
     assert place == pytest.approx(np.array(there), abs=0.35)
@@ -141,8 +142,8 @@ def test_a_run_keeps_its_order_on_lines_that_lie_beside_each_other() -> None:
     tip = np.column_stack([np.vstack(lines), np.zeros(366)])
     axis = np.tile([0.0, 0.0, -1.0], (366, 1))
     run = tip + [0.0, 0.6e-3, 0.0]
-    ran = planned_way(run, axis)
-    place, _ = track(planned_way(tip, axis), ran.points, np.diff(ran.way, prepend=0.0))
+    ran = nozzle_path(run, axis)
+    place, _ = track(nozzle_path(tip, axis), ran.points, np.diff(ran.way, prepend=0.0))
     middle = np.abs(np.arange(366) % 61 - 30) < 20
     assert np.abs(place - np.arange(366))[middle].max() < 3.0
 
@@ -223,7 +224,7 @@ def test_units_are_read_off_the_recording_where_names_do_not_tell_them(plan: Pla
 
 
 def test_a_bag_of_ros_teaches_what_a_table_does(plan: Plan, tmp_path: Path) -> None:
-    bags = pytest.importorskip("tests.test_identify_bag")
+    bags = pytest.importorskip("tests.test_bags")
     time, q = first_run()
     bag = bags.bag_of(tmp_path, "mcap", {"/joint_states": bags.messages(plan.cell.joint_names, time, q)})
     log = read_log(bag, plan.cell)

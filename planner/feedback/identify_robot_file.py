@@ -17,8 +17,8 @@ from planner.base.signals import interruptions_held
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import RobotFile, read_robot_file
+from planner.feedback.identify_findings import PathFindings
 from planner.feedback.identify_fit import QUANTITIES, Identified, JointDelay, JointFit
-from planner.feedback.identify_path import PathFindings
 from planner.problem import Problem
 from planner.problem.rewrite import Value, with_values
 

@@ -27,7 +27,6 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import executed_run
 from planner.export.player.play import play
 from planner.export.write import forecast_words, program_notes
-from planner.feedback.identify_log import add_recording, read_log
 from planner.feedback.learn_fit import (
     Lessons,
     RunErrors,
@@ -53,6 +52,7 @@ from planner.feedback.learn_telling import (
 )
 from planner.feedback.learn_track import recorded_way, way_along
 from planner.feedback.planned import planned_problem
+from planner.feedback.recordings import add_recording, read_log
 from planner.motion.as_run import asked_of, corrections_of
 from planner.plan import Check, Plan
 from planner.plan.seal import sealed

@@ -15,6 +15,7 @@ from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
 from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
+from planner.feedback.filters import noise_of
 from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import Corrections
 from planner.plan import Trajectory
@@ -22,7 +23,6 @@ from planner.plan import Trajectory
 KNOT = 16e-3  # s of planned motion between places of corrections: lines shorter than that no controller is asked for
 BEND = 0.1e-3  # m by which corrections may bend from place to place: what is smoother than noise of that is believed
 QUIET = 2e-6  # m: recordings are no better than that
-TO_SIGMA = 1.4826  # from the median of deviations to the standard one, of a normal distribution
 APART = 1e-6  # m: places of corrections are not nearer to each other
 AROUND = 4  # places to either side, 64 ms: over these it is judged whether a run was better
 MORE, LESS = 1.5, 0.5  # times the gain, where a run was better, and where it was not
@@ -67,7 +67,12 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     along = along / np.where(size > 0.0, size, 1.0)
     off = executed - t.tip
     off -= (off * along).sum(axis=1, keepdims=True) * along
-    return RunErrors(np.where(known[:, None], off, 0.0), known, _speed(t, when, known), _noise(run))
+    return RunErrors(
+        np.where(known[:, None], off, 0.0),
+        known,
+        _speed(t, when, known),
+        float(np.sqrt((noise_of(run.tip) ** 2).mean())),
+    )
 
 
 def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
@@ -79,12 +84,6 @@ def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
     took = when[b] - when[a]
     out: Array = np.where(inside & (took > 0.0), (way[b] - way[a]) / np.where(took > 0.0, took, 1.0), np.nan)
     return out
-
-
-def _noise(run: RecordedWay) -> float:
-    """Standard deviation of one recorded tip in one direction [m], by what no motion does: its third differences."""
-    third = np.diff(run.tip, n=3, axis=0) / np.sqrt(20.0)
-    return float(np.sqrt(np.square(TO_SIGMA * np.median(np.abs(third), axis=0)).mean()))
 
 
 @dataclass(frozen=True)

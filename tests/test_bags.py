@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from benchmarks.recordings import Recording, recorded
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
-from planner.feedback.identify_bag import is_bag, read_bag
-from planner.feedback.identify_log import read_log
+from planner.feedback.bags import is_bag, read_bag
 from planner.feedback.identify_match import match
-from tests.test_identify import asked_of, cell_of, truth_of
+from planner.feedback.recordings import read_log
+from tests.identify_fixtures import asked_of, cell_of, truth_of
 
 pytest.importorskip("rosbags")
 

@@ -16,7 +16,7 @@ from planner.base.command_line import Command
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 from planner.cell.cell import Cell
-from planner.feedback.identify_bag import BagTable, is_bag, read_bag
+from planner.feedback.bags import BagTable, is_bag, read_bag
 
 LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
 LEAST_SAMPLES = 50
