@@ -30,9 +30,10 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
+from planner.feedback.identify_delay import fit_delay
 from planner.feedback.identify_extruder import LENGTH, FlowLine, fit_flow, line_of, read_table
 from planner.feedback.identify_findings import PathFindings, findings
-from planner.feedback.identify_fit import QUANTITIES, fit_delay, fit_joints
+from planner.feedback.identify_fit import QUANTITIES, fit_joints
 from planner.feedback.identify_match import match
 from planner.feedback.identify_path import follow
 from planner.feedback.identify_program import AskedMoves, asked_moves, free_spaces, greatest_lengths

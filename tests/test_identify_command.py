@@ -15,7 +15,8 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, Ou
 from planner.cell.cell import build_cell
 from planner.cell.robot import read_robot
 from planner.feedback.identify_command import main
-from planner.feedback.identify_fit import fit_delay, fit_joints
+from planner.feedback.identify_delay import fit_delay
+from planner.feedback.identify_fit import fit_joints
 from planner.feedback.identify_match import match
 from planner.feedback.identify_program import (
     asked_text,

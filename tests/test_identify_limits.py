@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, TrueRobot, commands, recorded, write_recording
-from planner.feedback.identify_fit import fit_delay, fit_joints
+from planner.feedback.identify_delay import fit_delay
+from planner.feedback.identify_fit import fit_joints
 from planner.feedback.identify_match import match
 from planner.feedback.identify_profile import MotionLimits, move_profile
 from planner.feedback.identify_program import (
@@ -308,3 +309,26 @@ def test_without_commands_there_is_no_delay(tmp_path: Path) -> None:
     asked = asked_of("cylinder_logo", joints=(3,), most=20.0)
     file = write_recording(tmp_path / "run.csv", recorded(asked, truth_of(cell)), header(cell))
     assert fit_delay(match(read_log(file, cell), asked), asked, 3) is None
+
+
+@given(
+    distance=st.floats(1e-4, 4.0),
+    logs=st.tuples(*[st.floats(-20.0, 20.0)] * 5),
+    averaged=st.booleans(),
+)
+def test_a_profile_of_any_limits_that_a_search_tries_is_finite(
+    distance: float, logs: tuple[float, ...], averaged: bool
+) -> None:
+    speed, acceleration, jerk, braking, braking_jerk = np.exp(logs).tolist()
+    profile = move_profile(distance, MotionLimits(speed, acceleration, jerk, braking, braking_jerk, 0.0, averaged))
+    assert np.isfinite(profile.at(np.linspace(0.0, 10.0, 50))).all()
+
+
+def test_braking_that_is_as_speeding_up_is_not_told(tmp_path: Path) -> None:
+    """Commands have no noise, so that a model with braking of its own explains more, by nothing that counts."""
+    _, cell = cell_of("cylinder_logo")
+    whole = asked_of("cylinder_logo", joints=(3,), most=30.0)
+    asked = replace(whole, moves=whole.moves[:1] + whole.moves[-7:])
+    truth = truth_of(cell, delay=0.02)
+    _, (fit,) = found_in(tmp_path, asked, cell, recorded(asked, truth), commanded=True)
+    assert fit.braking is None and fit.acceleration.value == pytest.approx(truth.acceleration[3], rel=1e-3)

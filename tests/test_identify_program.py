@@ -181,6 +181,11 @@ def test_what_was_asked_is_read_back(tmp_path: Path) -> None:
         (lambda data: data["joints"].pop(), "was asked of"),
         (lambda data: data["joints"][0].update(unit="mm"), "slide"),
         (lambda data: data["joints"][0].update(start="x"), "is not what a test program asked"),
+        (lambda data: data["joints"][0].update(start=10**400), "is not what a test program asked"),
+        (lambda data: data["moves"][0].update(to=10**400), "is not what a test program asked"),
+        (lambda data: data["moves"][0].update(to=data["moves"][0]["from"] + 1e-6), "a move that goes nowhere"),
+        (lambda data: data["moves"][0].update(to=float("inf")), "a move that goes nowhere, or endlessly far"),
+        (lambda data: [joint.update(asked_speed=-1.0) for joint in data["joints"]], "a limit of it is not above 0"),
     ],
 )
 def test_another_file_than_what_was_asked_is_refused(
@@ -193,3 +198,15 @@ def test_another_file_than_what_was_asked_is_refused(
     file.write_text(json.dumps(data), encoding="utf-8")
     with pytest.raises(InputError, match=said):
         read_asked(file, problem, cell)
+
+
+def test_every_move_that_is_asked_is_read_back(tmp_path: Path) -> None:
+    """The shortest of all cells too: a joint that begins near an end of its space."""
+    for name in ("cylinder_logo", "rail_panel", "peer_cap"):
+        problem, cell = cell_of(name)
+        for most in (8.0, 100.0):
+            asked = asked_of(name, most=most)
+            (tmp_path / "asked.json").write_text(asked_text(asked), encoding="utf-8")
+            np.testing.assert_allclose(
+                read_asked(tmp_path / "asked.json", problem, cell).postures, asked.postures, atol=1e-7
+            )

@@ -214,10 +214,10 @@ def _spoilt(change: str) -> tuple[str, str]:
         table[:, 1:] = np.degrees(asked.start) + 20.0 * np.sin(0.3 * t[:, None])
         return table_text(head, table), "never rest|another program"
     if change == "elsewhere":
-        table[:, 3] += np.where(t > t[half], 3.0, 0.0)
+        table[:, 3] += 3.0 * np.clip((t - t[half]) / 0.3, 0.0, 1.0)
         return table_text(head, table), "moves are as asked, then joint_3 rests 3 degrees from where it was asked to"
     if change == "stray":
-        table[moved : moved + 30, 5] += 2.0
+        table[moved : moved + 30, 5] += 2.0 * np.sin(np.linspace(0.0, np.pi, 30)) ** 2
         return table_text(head, table), "joint_5 moves by 2.* while only joint_4 was asked to"
     if change == "no time":
         return table_text(head.replace("t_s", "x"), table), "no column has the time"
@@ -328,3 +328,59 @@ def test_a_real_robots_recording_of_another_program_is_refused() -> None:
     assert 0.006 < log.step < 0.01 and log.commanded is None
     with pytest.raises(InputError, match=r"never rest|another program"):
         match(log, asked)
+
+
+def test_columns_are_told_by_role_and_joint_whatever_their_order(tmp_path: Path) -> None:
+    asked, recording = sample()
+    order = [3, 1, 2, 0, 6, 5, 4]
+    names = [asked.joint_names[j] for j in order]
+    head = ",".join(["t_s", *(f"target_{name}" for name in names), *names])
+    table = np.column_stack(
+        [recording.time, np.degrees(recording.commanded)[:, order], np.degrees(recording.executed)[:, order]]
+    )
+    (tmp_path / "run.csv").write_text(table_text(head, table), encoding="utf-8")
+    log = read_log(tmp_path / "run.csv", cell_of("cylinder_logo")[1])
+    assert log.told == ("t_s", *asked.joint_names, *(f"target_{name}" for name in asked.joint_names))
+
+
+def _in_row(text: str, line: int, column: int, value: str) -> str:
+    rows = text.splitlines()
+    words = rows[line - 1].split(",")
+    words[column] = value
+    rows[line - 1] = ",".join(words)
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "value", "said"),
+    [
+        (30, 2, "1e300", r"run\.csv:30: column 'joint_2_deg' is 1e\+300 here, which is no joint's"),
+        (31, 0, "1e30", r"run\.csv:31: column 't_s' is 1e\+30 here, which is no clock's"),
+        (32, 2, '"' + "9" * 200_000 + '"', r"no number|no finite number|could not convert|is not CSV"),
+    ],
+)
+def test_numbers_that_nothing_has_are_refused_by_line(
+    tmp_path: Path, line: int, column: int, value: str, said: str
+) -> None:
+    asked, recording = sample()
+    head = "t_s," + ",".join(f"{name}_deg" for name in asked.joint_names)
+    text = table_text(head, np.column_stack([recording.time, np.degrees(recording.executed)]))
+    with pytest.raises(InputError, match=said):
+        matched(tmp_path, _in_row(text, line, column, value), asked)
+
+
+def test_a_clock_that_never_goes_on_is_refused(tmp_path: Path) -> None:
+    asked, recording = sample()
+    head = "t_s," + ",".join(f"{name}_deg" for name in asked.joint_names)
+    still = np.column_stack([0.0 * recording.time, np.tile(np.degrees(asked.start), (len(recording.time), 1))])
+    with pytest.raises(InputError, match="holds 1 samples at different times"):
+        matched(tmp_path, table_text(head, still), asked)
+
+
+def test_a_wrong_sample_is_left_out_and_told(tmp_path: Path) -> None:
+    asked, recording = sample()
+    head = "t_s," + ",".join(f"{name}_deg" for name in asked.joint_names)
+    text = table_text(head, np.column_stack([recording.time, np.degrees(recording.executed)]))
+    log = matched(tmp_path, _in_row(text, 500, 4, "17.5"), asked)
+    assert any("1 sample left out that no joint can have made, the first in line 500" in words for words in log.remarks)
+    np.testing.assert_allclose(log.postures, asked.postures, atol=2e-4)

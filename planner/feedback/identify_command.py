@@ -20,6 +20,7 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, In
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
+from planner.feedback.identify_delay import JointDelay, fit_delay
 from planner.feedback.identify_extruder import (
     LENGTH,
     SHORTEST,
@@ -34,7 +35,7 @@ from planner.feedback.identify_extruder import (
     waypoints_text,
 )
 from planner.feedback.identify_findings import deviation_words, findings, joint_lines, path_lines
-from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, IdentifiedLimit, JointFit, fit_joints
 from planner.feedback.identify_match import MatchedLog, match
 from planner.feedback.identify_path import off_commands
 from planner.feedback.identify_profile import move_profile
@@ -268,7 +269,7 @@ def _limit_lines(cell: Cell, fits: Sequence[JointFit]) -> list[str]:
     return out
 
 
-def _found_words(found: Identified, file: float) -> str:
+def _found_words(found: IdentifiedLimit, file: float) -> str:
     known = f"(file {file:.4g})"
     if not found.told:
         return f"at least {found.value:.3g} {known}"

@@ -129,8 +129,9 @@ def _passed(followed: FollowedPath, near: Indices, at: float, width: float) -> t
     Near the corner, where a cut path has no place on the lines, a cubic between both sides.
     """
     t, way, speed = followed.time[near], followed.way[near] - at, followed.speed[near]
-    before, behind = np.flatnonzero(way < -width), np.flatnonzero(way > width)
-    if not len(before) or not len(behind):
+    behind = np.flatnonzero(way > width)
+    before = np.flatnonzero(way[: behind[0]] < -width) if len(behind) else behind
+    if not len(before):
         return None
     a, b = int(before[-1]), int(behind[0])
     middle = CubicHermiteSpline(t[[a, b]], way[[a, b]], speed[[a, b]])

@@ -146,6 +146,7 @@ def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, re
         noise=noise,
         remarks=(
             *reading.words,
+            *log.remarks,
             f"columns {', '.join(log.told)}",
             f"{last - first + 1} samples, one every {1e3 * log.step:.3g} ms, in lines {log.lines[first]} to {log.lines[last]}",
         ),

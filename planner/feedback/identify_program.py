@@ -37,6 +37,8 @@ from planner.problem import Problem
 # 15 rad/s² and 750 rad/s³ is limited by its jerk alone. In longer moves a jerk only rounds corners by less than a noise of
 # 0.01 degrees, in shorter ones noise counts for more: so several short ones are made, each some times.
 SHORTEST = (np.radians(0.25), 1e-3)
+LEAST_MOVE = 0.49  # of the shortest: the way to an end of the space may be so long
+SLIDING_UNIT = 1e-3  # m of joints that slide in the file
 SHORT = 5.0  # times the shortest: moves up to that are repeated
 REPEATS = 3
 USUAL_MOST = (np.radians(180.0), 1.0)
@@ -465,11 +467,13 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         found = tuple(_move(move, names, units) for move in moves)
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, hint=f"{hint}; --asked names it") from None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise InputError(f"{wrong}: {error}", file=path, hint=hint) from error
     proper = all(np.isfinite(column).all() for column in columns.values())
     if not found or not proper or (np.abs(columns["controller_sign"]) != 1.0).any():
         raise InputError(f"{wrong}: it has no moves, or places that are no numbers", file=path, hint=hint)
+    if any(each is not None and not (np.isfinite(each) & (each > 0.0)).all() for each in asked):
+        raise InputError(f"{wrong}: a limit of it is not above 0", file=path, hint=hint)
     return AskedMoves(
         problem=str(data["problem"]),
         language=str(data["language"]),
@@ -494,8 +498,10 @@ def _check_cell(path: Path, names: tuple[str, ...], joints: list[Any], cell: Cel
 def _move(data: dict[str, Any], names: tuple[str, ...], units: Array) -> AskedMove:
     j = names.index(str(data["joint"]))
     start, end, share = float(data["from"]), float(data["to"]), float(data["share_of_speed"])
-    if not (0.0 < share <= 1.0 and start != end and np.isfinite([start, end]).all()):
-        raise ValueError("a move that goes nowhere")
+    shortest = SHORTEST[int(units[j] == SLIDING_UNIT)]
+    length = abs(end - start) * float(units[j])
+    if not (0.0 < share <= 1.0 and LEAST_MOVE * shortest <= length < np.inf):
+        raise ValueError("a move that goes nowhere, or endlessly far")
     return AskedMove(j, start * float(units[j]), end * float(units[j]), share)
 
 
@@ -511,5 +517,5 @@ def _optional(rows: list[Any], key: str) -> Array | None:
 def _file_units(sliding: tuple[int, ...], n: int) -> Array:
     """What the file's numbers are in rad and m (n)."""
     units = np.full(n, np.pi / 180.0)
-    units[list(sliding)] = 1e-3
+    units[list(sliding)] = SLIDING_UNIT
     return units

@@ -25,6 +25,7 @@ from planner.feedback.readings import (
     LEAVES,
     RunStart,
     check_clock,
+    check_digits,
     counting,
     departures,
     near_start,
@@ -186,6 +187,7 @@ def _followed(log: RobotLog, starts: Sequence[RunStart], run: PlannedRun) -> Rec
         raise InputError(f"ends after {share:.1f} % of the path", file=log.file, line=int(log.lines[-1]), hint=hint)
     end = int(np.argmax(followed.way >= total - REACHED))
     last = min(first + end + round(BEHIND / log.step), len(log.time) - 1)
+    check_digits(log, start.reading, run.cell)
     check_clock(log, first, last)
     cut = follow(run.path, log.time[first : last + 1], start.q[first : last + 1], run.cell)
     return RecordedRun(
@@ -193,6 +195,7 @@ def _followed(log: RobotLog, starts: Sequence[RunStart], run: PlannedRun) -> Rec
         lines=log.lines[first : last + 1].astype(np.float64),
         remarks=(
             *start.reading.words,
+            *log.remarks,
             f"columns {', '.join(log.told)}",
             f"{last - first + 1} samples, one every {1e3 * log.step:.3g} ms, in lines {log.lines[first]} to {log.lines[last]}",
         ),

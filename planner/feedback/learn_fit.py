@@ -14,7 +14,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
+from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
 from planner.feedback.filters import noise_of
 from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import Corrections
@@ -57,7 +57,7 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     n = len(t)
     place, first = np.unique(np.maximum.accumulate(run.place), return_index=True)
     rows = np.arange(n)
-    executed = np.column_stack([np.interp(rows, place, column[first]) for column in run.tip.T])
+    executed = _executed(run, rows)
     when = np.interp(rows, place, run.time[first])
     known = t.deposit & (rows >= place[0]) & (rows <= place[-1])
     for a, b in run.gaps:
@@ -73,6 +73,15 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
         _speed(t, when, known),
         float(np.sqrt((noise_of(run.tip) ** 2).mean())),
     )
+
+
+def _executed(run: RecordedWay, rows: Ints) -> Array:
+    """Executed tips (n, 3) [m] at samples of the plan (n): the mean of what was recorded around each, straight between these."""
+    near = np.rint(run.place).astype(np.int64)
+    count = np.bincount(near)
+    there = np.flatnonzero(count)
+    place, *tip = (np.bincount(near, column)[there] / count[there] for column in (run.place, *run.tip.T))
+    return np.column_stack([np.interp(rows, place, column) for column in tip])
 
 
 def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
@@ -185,8 +194,15 @@ def bends(corrections: Corrections) -> Array:
     return out
 
 
-def evened(corrections: Corrections, bend: float) -> Corrections:
-    """The same; where one is off the mean of its neighbours by more than `bend` [m], half way towards that."""
+def most_bent(corrections: Corrections, beads: int) -> Array:
+    """The greatest bend (b) of corrections on each of so many beads [m]."""
+    out = np.zeros(beads)
+    np.maximum.at(out, corrections.bead, bends(corrections))
+    return out
+
+
+def evened(corrections: Corrections, bend: Array) -> Corrections:
+    """The same; where one is off the mean of its neighbours by more than `bend` (k) [m], half way towards that."""
     return _evened_at(corrections, np.flatnonzero(bends(corrections) > bend))
 
 

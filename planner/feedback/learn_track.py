@@ -9,7 +9,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
-from planner.feedback.readings import LEAVES, JointCounting, counting, near_start, readings, run_starts
+from planner.feedback.readings import LEAVES, JointCounting, check_digits, counting, near_start, readings, run_starts
 from planner.feedback.recordings import RobotLog
 from planner.feedback.tracking import TrackedPath, track, tracked_path
 from planner.plan import Plan
@@ -59,8 +59,9 @@ def recorded_way(plan: Plan, log: RobotLog, language: str) -> RecordedWay:
         raise _never_there(plan, log, counted)
     ways = [(each, way_along(plan, plan.cell, log.time, each.q, each.first)) for each in starts]
     begun, way = max(ways, key=lambda each: _gone_on(each[1]))
+    check_digits(log, begun.reading, plan.cell)
     _check_followed(plan, log, way.place, way.off)
-    remarks = begun.reading.words
+    remarks = (*begun.reading.words, *log.remarks)
     if len(way.gaps):
         lost = float(np.diff(log.time[way.gaps], axis=1).sum())
         remarks = (

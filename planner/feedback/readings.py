@@ -23,6 +23,7 @@ LEAVES = 0.03  # m from a path, beyond which it is another program's
 MOST_STARTS = 6  # times that the robot stands at the first posture, from which a run is looked for
 LEAST_MOTION = 5  # samples behind a start
 BEFORE = 0.2  # s
+FINEST = (np.radians(0.05), 1e-4)  # of the steps in which joints are recorded at most [rad, m]
 GAP = 5.0  # median steps: a longer one is a gap
 DEGREE = np.pi / 180.0
 
@@ -116,6 +117,18 @@ def run_starts(
         q = as_run(reading.of(log.executed))
         out += [RunStart(reading, q, max(k - round(BEFORE / log.step), 0)) for k in departures(q, start, cell)]
     return out
+
+
+def check_digits(log: RobotLog, reading: LogReading, cell: Cell) -> None:
+    """Raises InputError where joints were recorded in steps that are too coarse to tell where the robot was."""
+    steps = np.abs(np.diff(log.executed, axis=0)) * np.abs(reading.scale)
+    least = np.where(steps > 0.0, steps, np.inf).min(axis=0)
+    coarse = np.flatnonzero(np.isfinite(least) & (least > np.where(cell.limits.turns, *FINEST)))
+    if len(coarse):
+        j = int(coarse[0])
+        words = f"{np.degrees(least[j]):.3g} degrees" if cell.limits.turns[j] else f"{1e3 * least[j]:.3g} mm"
+        reason = f"{cell.joint_names[j]} is recorded in steps of {words}"
+        raise InputError(reason, file=log.file, hint="a recording with more digits")
 
 
 def check_clock(log: RobotLog, first: int, last: int) -> None:
