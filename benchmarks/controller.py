@@ -19,14 +19,16 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import make_lsq_spline
-from scipy.signal import medfilt, savgol_filter
+from scipy.signal import lfilter, medfilt, savgol_filter
 
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.cell.cell import Cell, build_cell
 from planner.export.fit import from_matrix
 from planner.export.player.model import ABB, MotionModel
-from planner.export.player.path import deviation
+from planner.export.player.path import MOST_TICKS, corner_depth
+from planner.export.player.path import TICK as PATH_TICK
 from planner.export.player.play import play
+from planner.export.player.played import Played
 from planner.export.program import RobotProgram
 from planner.export.rapid.writer import quadrants
 from planner.problem import load_problem
@@ -170,6 +172,47 @@ def distances(points: Array, corners: Array) -> Array:
     return out
 
 
+@dataclass(frozen=True)
+class PlayedDeviation:
+    """Distance of the played tip from the programmed path.
+
+    at       (m) at the target of each move [m]; 0 where the robot rests
+    t, off   (k) instants [s], and how far the arm lags aside there, zones left out [m]
+    """
+
+    at: Array
+    t: Array
+    off: Array
+
+
+def played_deviation(program: RobotProgram, played: Played, model: MotionModel) -> PlayedDeviation:
+    """How far the tip leaves the programmed path, to the side: in its own frame, since recordings tell no more. Forecasts
+    follow the joints instead, see `executed_run`.
+
+    Within a zone the path is that of `corner_depth`. The arm follows with a lag, as through a filter that weighs what was
+    commanded dt before and after by exp(-|dt| / lag): a corner is rounded by speed, lag and half of the change of
+    direction; a curve is cut by the square of the lag times its acceleration across.
+    """
+    depth = model.depth * corner_depth(program, played)
+    tick = max(PATH_TICK, played.duration / MOST_TICKS)
+    t = np.arange(0.0, played.duration + tick, tick)
+    position = played.at(t).position
+    off = np.zeros(len(t))
+    if model.lag > 0.0 and len(t) > 2:
+        keep = np.exp(-tick / model.lag)
+        way = position - position[0]
+        late, _ = lfilter([1.0 - keep], [1.0, -keep], way, axis=0, zi=keep * way[:1])
+        back = late[::-1] - late[-1]
+        early, _ = lfilter([1.0 - keep], [1.0, -keep], back, axis=0, zi=keep * back[:1])
+        moved = early[::-1] + late[-1] - way
+        along = np.gradient(position, tick, axis=0)
+        size = np.linalg.norm(along, axis=1, keepdims=True)
+        along = along / np.where(size > 0.0, size, 1.0)
+        off = np.linalg.norm(moved - (moved * along).sum(axis=1, keepdims=True) * along, axis=1)
+    lagging = np.interp(played.arrive, t, off)
+    return PlayedDeviation(np.where(program.fine, 0.0, np.hypot(depth, lagging)), t, off)
+
+
 def predicted(cell: Cell, recording: Recording, model: MotionModel) -> Measured:
     """The same figures of the program as the player plays it."""
     played = play(recording.program, cell, model)
@@ -177,7 +220,7 @@ def predicted(cell: Cell, recording: Recording, model: MotionModel) -> Measured:
     tip = played.at(t).position
     figures = measured(t, tip, recording, 1)
     begin, end = stretch(t, tip, recording)
-    off = deviation(recording.program, played, model)
+    off = played_deviation(recording.program, played, model)
     inside = (off.t >= begin) & (off.t <= end)
     if recording.corner is not None:
         inside &= np.linalg.norm(played.at(off.t).position - recording.corner, axis=1) < AROUND

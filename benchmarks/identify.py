@@ -30,13 +30,15 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
+from planner.feedback.identify_delay import fit_delay
 from planner.feedback.identify_extruder import LENGTH, FlowLine, fit_flow, line_of, read_table
-from planner.feedback.identify_fit import QUANTITIES, fit_delay, fit_joints
-from planner.feedback.identify_log import read_log
+from planner.feedback.identify_findings import PathFindings, findings
+from planner.feedback.identify_fit import QUANTITIES, fit_joints
 from planner.feedback.identify_match import match
-from planner.feedback.identify_path import PathFindings, findings, follow
-from planner.feedback.identify_program import AskedMoves, asked_moves, counting, free_spaces, greatest_lengths
+from planner.feedback.identify_path import follow
+from planner.feedback.identify_program import AskedMoves, asked_moves, free_spaces, greatest_lengths
 from planner.feedback.identify_run import path_of_program
+from planner.feedback.recordings import read_log
 from planner.problem import load_problem
 
 Array = NDArray[np.float64]
@@ -115,7 +117,7 @@ def asked_of(case: IdentifyCase) -> tuple[Cell, AskedMoves]:
     cell = build_cell(problem)
     spaces = free_spaces(cell, NOTHING, cell.home, greatest_lengths(cell, None))
     # controllers that make the profile themselves: what they are told does not hide what they can do
-    return cell, asked_moves(problem, cell, cell.home, spaces, counting(cell, "rapid"))
+    return cell, asked_moves(problem, cell, cell.home, spaces, "rapid")
 
 
 def measure(case: IdentifyCase, seeds: int, folder: Path) -> CaseErrors:

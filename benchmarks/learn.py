@@ -28,10 +28,10 @@ from planner.export.controllers import CONTROLLERS
 from planner.export.languages import LANGUAGES
 from planner.export.player.executed import executed_run
 from planner.export.player.play import play
-from planner.feedback.identify_log import read_log
 from planner.feedback.learn_command import in_words, language_of, learned_plan
 from planner.feedback.learn_fit import Lessons, RunErrors, errors_of, next_lessons
 from planner.feedback.learn_track import RecordedWay, recorded_way, way_along
+from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import random
 import re
+import sys
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +15,9 @@ import pytest
 from export_fixtures import make_plan
 from solved import bed_plan, small_plan
 
-from benchmarks.attack import cases, files, kills, motions, problems, programs
+from benchmarks.attack import cases, clouds, files, in_process, kills, motions, problems, programs, recordings
 from benchmarks.attack.cases import ACCEPTED, BUGS, ESCAPED, HARMLESS, REFUSED, STOPPED, Chance, Outcome, one, run
+from benchmarks.attack.cases import FOUND as FOUND_BY_IT
 from benchmarks.attack.command import kinds as all_kinds
 from benchmarks.attack.command import main
 from benchmarks.attack.extruder import LINES, attack_gcode, fed_otherwise
@@ -80,6 +83,17 @@ def test_no_gcode_escapes() -> None:
     none_escapes(lambda by: attack_gcode(small_plan(), gcode(small_plan()), by), "gcode", 40)
 
 
+@pytest.mark.parametrize(("kind", "count"), [("recordings", 6), ("tables", 20), ("clouds", 3)])
+def test_no_measurement_escapes(tmp_path: Path, kind: str, count: int) -> None:
+    none_escapes(all_kinds()[kind].prepare(tmp_path), kind, count)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "count"), [("bags", 12), ("runs", 12), ("corrections", 30)])
+def test_no_run_escapes(tmp_path: Path, kind: str, count: int) -> None:
+    none_escapes(all_kinds()[kind].prepare(tmp_path), kind, count)
+
+
 # ---- what is spoilt, and how it is judged ------------------------------------------------------------------------------
 
 
@@ -88,6 +102,58 @@ def test_every_kind_has_its_number_of_cases() -> None:
     assert (counts["problems"], counts["files"], counts["motions"], counts["plans"]) == (1500, 600, 1000, 500)
     assert sum(counts[name] for name in TEXTS) == 2000 and sum(counts[name] > 0 for name in TEXTS) == 5
     assert (counts["gcode"], counts["kills"], counts["determinism"]) == (400, 60, 12)
+    assert {counts[name] for name in ("recordings", "bags", "runs", "tables", "corrections", "clouds")} == {300}
+
+
+@pytest.mark.parametrize("name", recordings.TABLE_CHANGES)
+@pytest.mark.parametrize("form", recordings.FORMS)
+def test_every_change_of_a_recording_gives_a_table(name: str, form: str) -> None:
+    q = np.cumsum(np.random.default_rng(1).normal(0.0, 1e-3, (60, 7)), axis=0)
+    table = recordings.Table(4e-3 * np.arange(60), q, q, tuple(f"joint_{k}" for k in range(1, 8)))
+    for k in range(4):
+        assert recordings.FORMS[form](recordings.TABLE_CHANGES[name](table, random.Random(k))).startswith(b"t")
+
+
+@pytest.mark.parametrize("name", clouds.POINT_CHANGES)
+@pytest.mark.parametrize("form", clouds.FORMS)
+def test_every_change_of_a_cloud_can_be_written(name: str, form: str) -> None:
+    points = np.random.default_rng(1).uniform(-1.0, 1.0, (300, 3))
+    for k in range(3):
+        assert isinstance(clouds.FORMS[form][1](clouds.POINT_CHANGES[name](points, random.Random(k))), bytes)
+
+
+def _says(text: str, code: int, out: Path | None = None) -> Callable[[Sequence[str]], int]:
+    def main(arguments: Sequence[str]) -> int:
+        if out is not None:
+            out.mkdir()
+            (out / "half.yaml").write_text("name:")
+        if text == "warns":
+            warnings.warn("overflow", RuntimeWarning, stacklevel=1)
+        if text == "hangs":
+            time.sleep(30.0)
+        print(f"error: {text}", file=sys.stderr)
+        return code
+
+    return main
+
+
+def test_what_a_command_may_not_do_is_an_escape(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(in_process, "LONGEST", 0.5)
+    out = tmp_path / "out"
+
+    def verdict(main: Callable[[Sequence[str]], int]) -> str:
+        done = in_process.attack_command(main, [], out, ("run.csv",), "x", lambda said: Outcome("x", HARMLESS))
+        assert not out.exists()
+        return done.verdict
+
+    assert verdict(_says("run.csv: no", 2)) == REFUSED
+    assert verdict(_says("", 3)) == FOUND_BY_IT
+    assert verdict(_says("", 0, out)) == HARMLESS
+    for command in (
+        _says("no", 2), _says("run.csv: no", 2, out), _says("run.csv", 1), _says("warns", 0), _says("hangs", 0),
+        _says("run.csv: \x1b[2J", 2), _says("run.csv" + "x" * 3000, 2),
+    ):  # fmt: skip
+        assert verdict(command) == ESCAPED
 
 
 @pytest.mark.parametrize("name", motions.OF_MOTIONS | motions.OF_PLANS)

@@ -11,12 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.controller import played_deviation
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import FORMAT, forecast, forecast_json, judged
 from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, PLAIN, MotionModel
 from planner.export.player.pace import ramp, turned_at
-from planner.export.player.path import corner_depth, deviation
+from planner.export.player.path import corner_depth
 from planner.export.player.play import limited, play
 from planner.export.player.played import TIMES, laid_moves
 from planner.export.program import Trigger
@@ -178,18 +179,18 @@ def test_a_corner_is_cut_by_its_zone_and_by_the_lag():
     depth = 0.25 * 2e-3 * np.sqrt(2.0)
     assert corner_depth(program, played)[0] == pytest.approx(depth, rel=1e-3)
     model = MotionModel("zones alone", depth=0.8)
-    assert deviation(program, played, model).at == pytest.approx([0.8 * depth, 0.0], rel=1e-3)
-    lagging = deviation(program, played, MotionModel("late", depth=0.0, lag=0.02)).at[0]
+    assert played_deviation(program, played, model).at == pytest.approx([0.8 * depth, 0.0], rel=1e-3)
+    lagging = played_deviation(program, played, MotionModel("late", depth=0.0, lag=0.02)).at[0]
     speed = speed_at_knots(played)[played.target[0]]
     # half of lag, speed and change of direction; less where the corner lies between two ticks, or the robot slows down
     assert 0.5 * 0.02 * speed * np.sqrt(2.0) * 0.85 < lagging < 0.5 * 0.02 * SPEED * np.sqrt(2.0) * 1.05
-    both = deviation(program, played, MotionModel("both", depth=0.8, lag=0.02)).at[0]
+    both = played_deviation(program, played, MotionModel("both", depth=0.8, lag=0.02)).at[0]
     assert both == pytest.approx(np.hypot(lagging, 0.8 * depth), rel=1e-6)
 
 
 def test_a_straight_line_is_not_left_whatever_the_lag():
     program = program_through(STRAIGHT, fine=[20])
-    off = deviation(program, play(program, CELL, ABB), ABB)
+    off = played_deviation(program, play(program, CELL, ABB), ABB)
     assert off.off.max() < 1e-6
     assert off.at.max() < 1e-6
 
@@ -201,7 +202,7 @@ def test_a_circle_is_cut_by_lag_and_acceleration():
     program = program_through(points, speed=0.05)
     strong = replace(CELL, limits=replace(CELL.limits, acceleration=1e3 * CELL.limits.acceleration))
     played = play(program, strong)
-    off = deviation(program, played, MotionModel("late", lag=0.01))
+    off = played_deviation(program, played, MotionModel("late", lag=0.01))
     middle = (off.t > 0.2 * played.duration) & (off.t < 0.8 * played.duration)
     assert np.median(off.off[middle]) == pytest.approx(0.01**2 * 0.05**2 / radius, rel=0.05)
 

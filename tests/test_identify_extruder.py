@@ -163,6 +163,8 @@ SPOILT = {
     "negative": (_replaced("\n10,15,", "\n10,15,-"), r":4: mass_mg: must not be below 0"),
     "grams": (_column(1e-3, 2), "times what was asked"),
     "no mass": (_column(0.0, 2), r":2: mass_mg: holds no mass"),
+    "a decimal point": (_replaced("\n10,15,", "\n10,15,99"), r":4: mass_mg: is .* times what the line has on the mean"),
+    "endless": (_replaced("\n10,15,", "\n10,15," + "9" * 200_000), r":4: is not CSV: field larger"),
 }  # fmt: skip
 
 
@@ -311,3 +313,23 @@ def test_the_command_plans_a_line(
     np.testing.assert_allclose(flow[settled], wanted[settled], rtol=0.01)
     for wrong in (["--from", "0,0,0.3", "--to", "1,0,0.3"], ["--normal", "1,0,0"]):
         assert main(["extruder", "write", "peer_cap", *wrong]) == EXIT_INPUT
+
+
+@pytest.mark.parametrize("is_weighed", [True, False])
+def test_a_table_that_does_not_follow_the_line_is_refused(tmp_path: Path, is_weighed: bool) -> None:
+    _, line = asked()
+    file = weighed(tmp_path, 0.1) if is_weighed else looked_at(tmp_path, 0.1)
+    head, *rows = file.read_text(encoding="utf-8").splitlines()
+    same = [",".join([*row.split(",")[:-1], rows[-9].split(",")[-1]]) for row in rows]
+    file.write_text("\n".join([head, *same]), encoding="utf-8")
+    with pytest.raises(InputError, match="does not follow the steps of the line"):
+        fit_flow(read_table(file, line), line, PLA if is_weighed else None)
+
+
+def test_a_number_that_is_too_large_for_a_line_is_refused(tmp_path: Path) -> None:
+    problem, line = asked()
+    data = json.loads(line_text(line))
+    data["height_mm"] = 10**400
+    (tmp_path / "asked.json").write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(InputError, match="is not what a line asked"):
+        read_asked_line(tmp_path / "asked.json", problem)

@@ -21,14 +21,8 @@ from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
 from planner.feedback.identify_command import main
-from planner.feedback.identify_log import read_log
-from planner.feedback.identify_path import (
-    CommandedPath,
-    FollowedPath,
-    findings,
-    follow,
-    off_commands,
-)
+from planner.feedback.identify_findings import findings
+from planner.feedback.identify_path import CommandedPath, FollowedPath, follow, off_commands
 from planner.feedback.identify_robot_file import robots_of, write_controller
 from planner.feedback.identify_run import (
     PlannedRun,
@@ -37,6 +31,8 @@ from planner.feedback.identify_run import (
     planned_run,
     recorded_run,
 )
+from planner.feedback.readings import counting, run_starts
+from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.plan.seal import sealed
 from planner.planning.pipeline import write
@@ -211,6 +207,19 @@ def test_a_real_robot_brakes_as_its_model_has_it():
     assert not found.ahead.told and found.ahead.value >= 3 and found.tip.most < 1.5e-3
 
 
+def test_a_limit_of_each_move_is_no_look_ahead():
+    """A controller that takes its time for each move is as far ahead on short moves as on longer ones, by one or two."""
+    points, rests = dense(0.8e-3, 1.5e-3)
+    ahead = findings(*run_of(points, replace(ABB, lag=0.03), NOISE, tuple(rests), speed=0.1, zone=1e-3)).ahead
+    assert not ahead.told
+
+
+def test_a_corner_whose_samples_go_back_and_forth_is_passed_by():
+    path, followed = run_of(ZIGZAG, ABB, speed=0.05, zone=ZONES)
+    way = followed.way + 0.012 * np.sin(40.0 * followed.time)
+    assert isinstance(findings(path, replace(followed, way=way)).corners, tuple)
+
+
 # ---- recordings of plans ------------------------------------------------------------------------------------------
 
 
@@ -275,7 +284,7 @@ def _jump(t: Array, q: Array) -> tuple[Array, Array]:
 
 
 def _elsewhere(t: Array, q: Array) -> tuple[Array, Array]:
-    q[:, 0] += np.where(np.arange(len(t)) > len(t) // 2, np.linspace(0.0, 0.5, len(t)), 0.0)
+    q[:, 0] += np.linspace(-0.5, 0.5, len(t)).clip(0.0)
     return t, q
 
 
@@ -379,3 +388,12 @@ def test_a_measured_lag_is_in_the_forecast(tmp_path: Path):
         write(each, tmp_path / str(k))
         off.append(json.loads((tmp_path / str(k) / "forecast.json").read_text())["forecasts"]["rapid"]["off_mm"])
     assert off[1] > 1.5 * off[0]
+
+
+def test_a_run_may_begin_in_degrees_and_in_radians_where_it_begins_near_nought(tmp_path: Path):
+    """Which of both it is, is told by the one that goes on."""
+    plan, t, q = planned()
+    head = ["t_s", *(f"J{k}" for k in range(1, 7)), "E1"]
+    file = write_recording(tmp_path / "run.csv", Recording(t, 8.0 * (q - q[0]), q), head, 1.0)
+    starts = run_starts(read_log(file, plan.cell), plan.cell, counting(plan.cell, ""), np.zeros(7))
+    assert {float(start.reading.scale[0]) for start in starts} == {1.0, float(np.radians(1.0))}

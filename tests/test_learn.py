@@ -1,14 +1,12 @@
-"""Programs that learn from runs: recordings held against their plan, corrections, and how what is asked for is verified."""
+"""Programs that learn from runs: corrections, how what is asked for is verified, and what comes of it run by run."""
 
 from __future__ import annotations
 
 import csv
 import json
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,23 +14,31 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learn_fixtures import (
+    KEPT,
+    MOST,
+    WRONG,
+    corrected,
+    corrections_by,
+    failed,
+    first_run,
+    lessons_of,
+    log_of,
+    toy_errors,
+    with_corrections,
+)
 from solved import small_plan, small_problem
 
 from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
-from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
-from planner.base.nearest import distance_to_polyline
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import followed
-from planner.feedback.identify_log import read_log
-from planner.feedback.learn_command import language_of, learned_plan, main, ran_plan
+from planner.feedback.learn_command import _not_followed, language_of, learned_plan, main, ran_plan
 from planner.feedback.learn_fit import (
-    Lessons,
-    RunErrors,
     _smoothed,
     bends,
     errors_of,
@@ -41,254 +47,22 @@ from planner.feedback.learn_fit import (
     less_around,
     next_lessons,
 )
-from planner.feedback.learn_telling import next_name, read_lessons, write_lessons, write_problem
-from planner.feedback.learn_track import PlannedWay, planned_way, recorded_way, track
+from planner.feedback.learn_telling import next_name, read_lessons, write_problem
+from planner.feedback.learn_track import recorded_way
 from planner.feedback.planned import planned_problem
-from planner.motion.as_run import FADE, Corrections, asked_trajectory, displacements, read_corrections
+from planner.feedback.recordings import read_log
+from planner.motion.as_run import FADE, Corrections, displacements, read_corrections
 from planner.plan import Plan, Trajectory
 from planner.plan.seal import changed_since, sealed
-from planner.planning.pipeline import as_it_is, solve, with_asked
+from planner.planning.pipeline import as_it_is, solve
 from planner.problem import Problem, load_problem
 from planner.problem.as_run import AsRunSpec
 from planner.verify.as_run import as_run
-
-MOST = 1e-3
-WRONG = partial(InputError, field="corrections")
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     return small_plan()
-
-
-@cache
-def first_run() -> tuple[Array, Array]:
-    """Time and joints of the first run of the small plan's program on a simulated IRC5."""
-    return recorded(small_plan(), ROBOTS["as fitted"])
-
-
-def log_of(plan: Plan, folder: Path, noise: float = 0.0, **changes: Any) -> Path:
-    time, q = first_run()
-    return write_log(plan, changes.get("time", time), changes.get("q", q), noise, 1, folder / "run.csv")
-
-
-def lessons_of(plan: Plan, folder: Path) -> tuple[RunErrors, Lessons]:
-    way = recorded_way(plan, read_log(log_of(plan, folder), plan.cell), "rapid")
-    errors = errors_of(plan.trajectory, way)
-    return errors, next_lessons(plan.trajectory, errors, None, MOST)
-
-
-def with_corrections(plan: Plan, corrections: Corrections, folder: Path, most: float = MOST) -> Plan:
-    """The plan whose program is corrected, with its file of corrections in a folder."""
-    k = len(corrections.s)
-    lessons = Lessons(corrections, np.zeros((k, 3)), np.zeros((k, 3)), np.ones(k))
-    n = len(plan.trajectory)
-    nothing = RunErrors(np.zeros((n, 3)), np.zeros(n, dtype=bool), np.full(n, np.nan), 0.0)
-    write_lessons(lessons, plan.trajectory, nothing, folder / "corrections.csv")
-    spec = AsRunSpec.model_construct(corrections=folder / "corrections.csv", most=most)
-    problem = plan.problem.model_copy(update={"as_run": spec})
-    return with_asked(replace(plan, problem=problem), Stages())
-
-
-@cache
-def corrected() -> Plan:
-    """The small plan with what its first run taught, and a file that stays."""
-    folder = Path(_KEPT.name)
-    return with_corrections(small_plan(), lessons_of(small_plan(), folder)[1].corrections, folder)
-
-
-_KEPT = tempfile.TemporaryDirectory()
-
-
-def failed(plan: Plan, asked: Trajectory | None) -> set[str]:
-    found = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, asked)
-    return {check.name for check in found.checks if not check.ok}
-
-
-# ----------------------------------------------------------------------------------------------------
-# A run against its plan.
-
-
-def brute_place(plan: PlannedWay, point: Array) -> float:
-    a, b = plan.points[:-1], plan.points[1:]
-    step = b - a
-    u = np.clip(((point - a) * step).sum(axis=1) / (step**2).sum(axis=1), 0.0, 1.0)
-    k = int(np.argmin(np.linalg.norm(a + u[:, None] * step - point, axis=1)))
-    return k + float(u[k])
-
-
-@given(seed=st.integers(0, 1000), every=st.floats(0.2, 3.0))
-@settings(max_examples=20)
-def test_places_along_an_open_curve_are_the_nearest_ones(seed: int, every: float) -> None:
-    random = np.random.default_rng(seed)
-    x = np.linspace(0.0, 0.05, 101)
-    tip = np.column_stack([x, 0.004 * np.sin(90.0 * x + seed), np.zeros(101)])
-    axis = np.tile([0.0, 0.0, -1.0], (101, 1))
-    at = np.append(np.arange(0.0, 100.0, every), 100.0)
-    run = np.column_stack([np.interp(at, np.arange(101), column) for column in tip.T])
-    run += random.normal(0.0, 2e-5, run.shape)
-    way = planned_way(tip, axis)
-    ran = planned_way(run, np.tile(axis[0], (len(run), 1)))
-    place, off = track(way, ran.points, np.diff(ran.way, prepend=0.0))
-    there = [brute_place(way, np.append(point, 0.05 * axis[0])) for point in run]
-    assert place == pytest.approx(np.array(there), abs=0.35)
-    assert off.max() < 2e-4
-
-
-def test_a_run_keeps_its_order_on_lines_that_lie_beside_each_other() -> None:
-    """A zig-zag whose lines are 1 mm apart, run 0.6 mm aside: nearer to the next line than to its own."""
-    lines = [np.column_stack([np.linspace(0, 0.03, 61)[:: 1 - 2 * (k % 2)], np.full(61, 1e-3 * k)]) for k in range(6)]
-    tip = np.column_stack([np.vstack(lines), np.zeros(366)])
-    axis = np.tile([0.0, 0.0, -1.0], (366, 1))
-    run = tip + [0.0, 0.6e-3, 0.0]
-    ran = planned_way(run, axis)
-    place, _ = track(planned_way(tip, axis), ran.points, np.diff(ran.way, prepend=0.0))
-    middle = np.abs(np.arange(366) % 61 - 30) < 20
-    assert np.abs(place - np.arange(366))[middle].max() < 3.0
-
-
-def test_rests_in_a_run_stay_where_they_are(plan: Plan) -> None:
-    q = first_run()[1]
-    k = len(q) // 2
-    q = np.vstack([np.tile(q[0], (300, 1)), q[:k], np.tile(q[k], (500, 1)), q[k:], np.tile(q[-1], (100, 1))])
-    rested = errors_of(plan.trajectory, true_way(plan, 4e-3 * np.arange(len(q)), q))
-    moved = errors_of(plan.trajectory, true_way(plan, *first_run()))
-    assert rested.known.all() == moved.known.all()
-    assert rested.off == pytest.approx(moved.off, abs=2e-6)
-
-
-def test_what_is_off_across_the_path_is_found_and_what_is_along_it_is_not(plan: Plan) -> None:
-    t = plan.trajectory
-    aside = np.zeros((len(t), 3))
-    aside[t.deposit] = [0.0, 0.0, 0.3e-3]  # along the cylinder's axis
-    moved = replace(t, tip=t.tip + aside)
-    q = asked_trajectory(plan.cell, t, corrections_by(t, lambda s: np.tile([0.0, 0.0, 0.3e-3], (len(s), 1)))).q
-    errors = errors_of(t, true_way(plan, t.t, q))
-    along = np.gradient(t.tip, axis=0)
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
-    expected = moved.tip - t.tip
-    expected -= (expected * along).sum(axis=1, keepdims=True) * along
-    inside = t.deposit & np.roll(t.deposit, 12) & np.roll(t.deposit, -12)
-    straight = inside & ((along * np.roll(along, 12, axis=0)).sum(axis=1) > 0.999)
-    straight &= (along * np.roll(along, -12, axis=0)).sum(axis=1) > 0.999
-    assert errors.off[straight] == pytest.approx(expected[straight], abs=5e-6)
-    assert errors.known[t.deposit].all()
-
-
-def test_how_far_a_run_is_off_is_its_distance_from_the_beads(plan: Plan) -> None:
-    """By another way: each bead's planned tips against the executed polyline of its time, whatever place belongs to which."""
-    t, (time, q) = plan.trajectory, first_run()
-    way = true_way(plan, time, q)
-    errors = errors_of(t, way)
-    for bead in np.unique(t.bead[t.deposit]):
-        rows = np.flatnonzero(t.deposit & (t.bead == bead))
-        near = (way.place > rows[0] - 30) & (way.place < rows[-1] + 30)
-        nearest = distance_to_polyline(t.tip[rows], way.tip[near])
-        told = np.linalg.norm(errors.off[rows], axis=1)
-        assert np.median(told) == pytest.approx(np.median(nearest), rel=0.1)
-        assert (told > nearest - 2e-5).mean() > 0.95
-        assert np.quantile(told, 0.99) < 2.0 * np.quantile(nearest, 0.99) + 2e-5
-
-
-def corrections_by(t: Trajectory, shift: Callable[[Array], Array]) -> Corrections:
-    """Corrections every millimetre or so of all beads, by arc length."""
-    beads, places, shifts = [], [], []
-    for bead in np.unique(t.bead[t.deposit]):
-        s = t.s[t.deposit & (t.bead == bead)][::6]
-        beads.append(np.full(len(s), bead))
-        places.append(s)
-        shifts.append(shift(s))
-    return Corrections(np.concatenate(beads).astype(np.int64), np.concatenate(places), np.concatenate(shifts))
-
-
-def test_noise_of_a_recording_is_told(plan: Plan, tmp_path: Path) -> None:
-    noise = np.radians(0.01)
-    way = recorded_way(plan, read_log(log_of(plan, tmp_path, noise), plan.cell), "rapid")
-    errors = errors_of(plan.trajectory, way)
-    _, q = first_run()
-    clean = plan.cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
-    true = float((way.tip - clean).std())
-    assert errors.noise == pytest.approx(true, rel=0.15)
-
-
-@pytest.mark.parametrize("unit", ["rad", "deg", ""])
-def test_units_are_read_off_the_recording_where_names_do_not_tell_them(plan: Plan, tmp_path: Path, unit: str) -> None:
-    time, q = first_run()
-    names = ["t_s", *(f"J{j}{'_' + unit if unit else ''}" for j in range(1, 7)), f"E1{'_' + unit if unit else ''}"]
-    values = q if unit == "rad" else np.degrees(q)
-    np.savetxt(tmp_path / "a.csv", np.column_stack([time, values]), delimiter=",", header=",".join(names), comments="")
-    way = recorded_way(plan, read_log(tmp_path / "a.csv", plan.cell), "rapid")
-    assert way.off[: len(way.off) // 2].max() < 3e-3
-    assert bool(way.remarks) == (unit == "")
-
-
-def test_a_bag_of_ros_teaches_what_a_table_does(plan: Plan, tmp_path: Path) -> None:
-    bags = pytest.importorskip("tests.test_identify_bag")
-    time, q = first_run()
-    bag = bags.bag_of(tmp_path, "mcap", {"/joint_states": bags.messages(plan.cell.joint_names, time, q)})
-    log = read_log(bag, plan.cell)
-    assert errors_of(plan.trajectory, recorded_way(plan, log, "rapid")).off == pytest.approx(
-        errors_of(plan.trajectory, true_way(plan, time, q)).off, abs=1e-6
-    )
-
-
-def test_a_gap_teaches_nothing_there(plan: Plan, tmp_path: Path) -> None:
-    time, q = first_run()
-    on = np.flatnonzero(np.linalg.norm(np.diff(q, axis=0), axis=1) > 1e-4)
-    a = int(on[len(on) // 2])
-    kept = np.ones(len(q), dtype=bool)
-    kept[a : a + 12] = False
-    path = write_log(plan, time[kept], q[kept], 0.0, 1, tmp_path / "gap.csv")
-    errors = errors_of(plan.trajectory, recorded_way(plan, read_log(path, plan.cell), "rapid"))
-    whole = errors_of(plan.trajectory, true_way(plan, time, q))
-    assert errors.off[errors.known] == pytest.approx(whole.off[errors.known], abs=2e-5)
-    assert len(recorded_way(plan, read_log(path, plan.cell), "rapid").gaps) == 1
-
-
-def another_program(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
-    q = q.copy()
-    q[len(q) // 3 :, 0] += np.radians(3.0) * np.linspace(0.0, 1.0, len(q) - len(q) // 3)
-    return time, q
-
-
-def thinned(plan: Plan, time: Array, q: Array) -> tuple[Array, Array]:
-    """Dense where the robot rests and travels, and only the ends of each bead."""
-    way = true_way(plan, time, q)
-    at = np.minimum(np.rint(way.place).astype(int), len(plan.trajectory) - 1)
-    laid = plan.trajectory.deposit[at]
-    kept = ~laid
-    return time[kept], q[kept]
-
-
-BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] = {
-    "another program": (another_program, "off the plan at bead"),
-    "another start": (lambda plan, time, q: (time, q + 0.2), "never is where the program begins"),
-    "joints in another order": (
-        lambda plan, time, q: (time, np.roll(q, 1, axis=1)),
-        "never is where the program begins",
-    ),
-    "too few samples": (lambda plan, time, q: (time[::20], q[::20]), "too few samples: one every 80 ms"),
-    "nothing but gaps": (lambda plan, time, q: thinned(plan, time, q), "gaps leave nothing of any bead"),
-    "an end before the first bead's": (lambda plan, time, q: (time[:120], q[:120]), "ends before the first bead does"),
-    "a clock that runs back": (
-        lambda plan, time, q: (np.where(time > 1.0, time - 0.5, time), q),
-        "the clock runs back",
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BAD)
-def test_a_recording_of_something_else_is_refused(
-    plan: Plan, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    spoil, words = BAD[name]
-    time, q = spoil(plan, *first_run())
-    saved = plan.save(tmp_path / "small.plan")
-    log = write_log(plan, time, q, 0.0, 1, tmp_path / "run.csv")
-    assert main([str(saved), str(log), "--out", str(tmp_path / "out"), "--quiet"]) == EXIT_INPUT
-    told = capsys.readouterr().err
-    assert words in told and "run.csv" in told
-    assert not (tmp_path / "out").exists()
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -326,10 +100,6 @@ def test_a_rest_on_a_bead_has_one_correction(plan: Plan, tmp_path: Path) -> None
     assert found.shift == pytest.approx(np.tile([0.0, -1e-4, 0.0], (len(found.s), 1)), abs=1e-8)
 
 
-def toy_errors(t: Trajectory, executed: Array) -> RunErrors:
-    return RunErrors(np.where(t.deposit[:, None], executed, 0.0), t.deposit, np.full(len(t), np.nan), 0.0)
-
-
 def test_lessons_bring_a_robot_that_follows_to_its_plan_and_one_that_does_the_contrary_do_no_harm(plan: Plan) -> None:
     t = plan.trajectory
     off = 0.3e-3 * np.column_stack([np.sin(40.0 * t.s / t.s.max()), np.cos(9.0 * t.s / t.s.max()), np.ones(len(t))])
@@ -356,7 +126,7 @@ def test_what_bends_most_is_evened_and_what_is_not_safe_is_made_smaller() -> Non
     bead = np.array([0] * 6 + [1] * 3)
     corrections = Corrections(bead, np.arange(9) * 1e-3, shift)
     assert bends(corrections)[[0, 3, 4, 5, 6, 7]] == pytest.approx([0.0, 0.5e-3, 1e-3, 0.0, 0.0, 1e-3])
-    even = evened(corrections, 0.7e-3)
+    even = evened(corrections, np.full(9, 0.7e-3))
     assert even.shift[[4, 7]].max(axis=1) == pytest.approx([0.5e-3, 0.5e-3])
     assert even.shift[3] == pytest.approx(0.0)
     near = evened_around(corrections, 0, 4e-3, 1.5e-3)
@@ -450,7 +220,7 @@ SPOILERS = st.lists(
 def test_spoilt_files_are_refused_or_read_and_never_anything_else(
     spoilers: list[tuple[float, bytes]], cut: float
 ) -> None:
-    plan, folder = corrected(), Path(_KEPT.name)
+    plan, folder = corrected(), Path(KEPT.name)
     for name in ("corrections.csv", "run.csv"):
         if not (folder / name).exists():
             write_log(plan, *first_run(), 0.0, 1, folder / "run.csv")
@@ -749,3 +519,52 @@ def test_a_folder_of_results_of_ones_own_problem_tells_its_file(tmp_path: Path) 
     (folder / "plan.json").write_text(json.dumps(held | {"problem_file": None}), encoding="utf-8")
     with pytest.raises(InputError, match="waypoints of arrays"):
         planned_problem(str(folder))
+
+
+TAUGHT = {
+    "no number": ("0.5", "nan", "a number is not finite, or far too large"),
+    "endless": ("0.5", "9" * 200_000, "is not CSV: field larger"),
+    "too large": ("0.5", "1e300", "a number is not finite, or far too large"),
+    "a gain beyond all": ("0.5", "7", "line 3: no run can have taught that"),
+    "no gain": (",gain", ",gian", "no column gain"),
+}
+
+
+@pytest.mark.parametrize("name", TAUGHT)
+def test_what_earlier_runs_cannot_have_taught_is_refused_by_line(name: str, tmp_path: Path) -> None:
+    old, new, words = TAUGHT[name]
+    head = "bead,s_mm,dx_mm,dy_mm,dz_mm,off_mm,best_dx_mm,best_dy_mm,best_dz_mm,left_dx_mm,left_dy_mm,left_dz_mm,gain"
+    rows = [f"0,{s},0.1,0,0,0.2,0.1,0,0,0.01,0,0,{gain}" for s, gain in ((0.0, 1.0), (1.0, 0.5))]
+    problem = learned_problem(tmp_path, "# by hand\n" + "\n".join([head, *rows]) + "\n", 1e-3)
+    corrections = read_corrections(tmp_path / "corrections.csv", small_plan().toolpath, WRONG)
+    assert read_lessons(problem, corrections).gain.tolist() == [1.0, 0.5]
+    text = (tmp_path / "corrections.csv").read_text(encoding="utf-8")
+    (tmp_path / "corrections.csv").write_text(text.replace(old, new), encoding="utf-8")
+    words = words.replace("line 3", "line 4")  # the comment stands above
+    with pytest.raises(InputError, match=words):
+        read_lessons(problem, corrections)
+
+
+@pytest.mark.parametrize(("value", "words"), [("9" * 200_000, "is not CSV"), ("1e300", "not finite, or far too large")])
+def test_a_file_of_corrections_with_a_number_beyond_all_is_refused(
+    plan: Plan, tmp_path: Path, value: str, words: str
+) -> None:
+    (tmp_path / "corrections.csv").write_text(ROWS.replace("\n1,0.5", f"\n1,{value}"), encoding="utf-8")
+    with pytest.raises(InputError, match=words):
+        read_corrections(tmp_path / "corrections.csv", plan.toolpath, WRONG)
+
+
+def test_corrections_are_smoothed_on_the_beads_alone_that_lines_do_not_follow(plan: Plan, tmp_path: Path) -> None:
+    errors, lessons = lessons_of(plan, tmp_path)
+    own = lessons.corrections
+    shift, wild = own.shift.copy(), own.bead == 1
+    shift[wild, 2] = 0.3e-3 * (-1.0) ** np.arange(wild.sum())
+    taught = replace(lessons, corrections=Corrections(own.bead, own.s, shift))
+    learned = learned_plan(plan, taught, errors, MOST, language_of(plan), Stages())
+    found = learned.lessons.corrections
+    assert learned.smoothed > 0 and not learned.failed
+    assert (found.shift[~wild] == shift[~wild]).all()
+    assert np.abs(found.shift[wild] - shift[wild]).max() > 0.1e-3
+    assert _not_followed(plan, taught.corrections, np.arange(3), language_of(plan)).tolist() == [1]
+    # where none is to blame by itself all of them are
+    assert _not_followed(plan, own, np.arange(3), language_of(plan)).tolist() == [0, 1, 2]

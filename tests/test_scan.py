@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -167,7 +168,7 @@ def with_nan() -> Array:
         (
             "cloud.xyz",
             lambda path: np.savetxt(path, with_nan()),
-            "1 of its 300 points are not finite, the first is number 7",
+            "1 of its 300 points are not finite, or endlessly far away, the first is number 7",
         ),
         ("cloud.npy", lambda path: np.save(path, points(30)), "holds 30 points"),
         ("cloud.npy", lambda path: np.save(path, np.ones((300, 2))), r"shape \(300, 2\)"),
@@ -576,3 +577,39 @@ def test_the_whole_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert plan["verified"] and plan["first_bead"] == solved().first_bead
     assert {"nozzle over the print", "begins above the scanned layer"} <= {check["name"] for check in plan["checks"]}
     assert list(folder.glob("*.mod"))
+
+
+def test_clouds_that_are_cut_off_or_endless_are_refused_without_a_warning(tmp_path: Path) -> None:
+    np.savez(tmp_path / "cloud.npz", points=points())
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "cloud.npz").read_bytes()[:900])
+    far = points()
+    far[3, 1] = 1e200
+    np.save(tmp_path / "far.npy", far)
+    ply(tmp_path / "far.ply", np.minimum(far, 3e38), binary=True)
+    (tmp_path / "huge.npy").write_bytes(
+        (tmp_path / "far.npy").read_bytes().replace(b"(300, 3)", b"(9" + b"0" * 17 + b", 3)")
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name, said in (
+            ("cut.npz", "is no NumPy file"),
+            ("far.npy", "endlessly far"),
+            ("far.ply", "endlessly far"),
+            ("huge.npy", "is no NumPy file"),
+        ):
+            with pytest.raises(InputError, match=said):
+                read_cloud(tmp_path / name)
+
+
+def test_a_header_without_points_is_refused_without_a_warning(tmp_path: Path) -> None:
+    (tmp_path / "cloud.csv").write_text("x_mm,y_mm,z_mm\n", encoding="utf-8")
+    with warnings.catch_warnings(), pytest.raises(InputError, match="holds no points"):
+        warnings.simplefilter("error")
+        read_cloud(tmp_path / "cloud.csv")
+
+
+def test_a_map_with_an_endless_field_is_refused(tmp_path: Path) -> None:
+    problem = corrected(tmp_path)
+    (tmp_path / "height_map.csv").write_text("x_mm," + "9" * 200_000 + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"height_map\.csv is not CSV"):
+        build_toolpath(problem)

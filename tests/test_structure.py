@@ -52,7 +52,7 @@ HEAVY = {
     "xarray": {"plan.frames", "plan.plan"},
     "xacro": {"robots.survey"},
     "xacrodoc": {"robots.survey"},
-    "rosbags": {"feedback.identify_bag"},
+    "rosbags": {"feedback.bags"},
 }
 # What the verifier must not see, so that it judges the planner with none of the planner's own code.
 JUDGED = {"resolve", "motion", "cell.kinematics", "planning"}

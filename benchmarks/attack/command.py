@@ -27,7 +27,10 @@ from planner.base.processes import cores
 
 EXIT_ESCAPED = 1
 TABLE_WIDTH = 170  # columns, also where no terminal is
-SUBJECTS = ("problems", "files", "motions", "programs", "extruder", "kills", "determinism")  # modules that have KINDS
+# modules that have KINDS
+SUBJECTS = (
+    "problems", "files", "motions", "programs", "extruder", "recordings", "tables", "clouds", "kills", "determinism",
+)  # fmt: skip
 
 
 def kinds() -> dict[str, Kind]:

@@ -20,6 +20,7 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, In
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
+from planner.feedback.identify_delay import JointDelay, fit_delay
 from planner.feedback.identify_extruder import (
     LENGTH,
     SHORTEST,
@@ -33,10 +34,10 @@ from planner.feedback.identify_extruder import (
     read_table,
     waypoints_text,
 )
-from planner.feedback.identify_fit import FLOOR, QUANTITIES, Identified, JointDelay, JointFit, fit_delay, fit_joints
-from planner.feedback.identify_log import add_recording, read_log
+from planner.feedback.identify_findings import deviation_words, findings, joint_lines, path_lines
+from planner.feedback.identify_fit import FLOOR, QUANTITIES, IdentifiedLimit, JointFit, fit_joints
 from planner.feedback.identify_match import MatchedLog, match
-from planner.feedback.identify_path import findings, off_commands
+from planner.feedback.identify_path import off_commands
 from planner.feedback.identify_profile import move_profile
 from planner.feedback.identify_program import (
     TEST_LANGUAGES,
@@ -46,7 +47,6 @@ from planner.feedback.identify_program import (
     asked_moves,
     asked_name,
     asked_text,
-    counting,
     free_spaces,
     greatest_lengths,
     language_of,
@@ -63,7 +63,8 @@ from planner.feedback.identify_robot_file import (
     write_controller,
     write_measured,
 )
-from planner.feedback.identify_run import deviation_words, joint_lines, path_lines, planned_run, recorded_run
+from planner.feedback.identify_run import planned_run, recorded_run
+from planner.feedback.recordings import add_recording, read_log
 from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem, load_problem
 from planner.problem.fields import LONGEST_NAME
@@ -137,12 +138,12 @@ def identify_write_command() -> Command:
 def _write(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     cell = build_cell(problem)
-    controlled = counting(cell, language_of(problem, cell, options.language))
+    language = language_of(problem, cell, options.language)
     start, most = start_posture(cell, options.start), greatest_lengths(cell, options.most)
     target = options.out or Path("out") / f"{problem.name}_identify"
     with results_folder(target, BY) as fresh:
         spaces = free_spaces(cell, obstacles_of(problem, cell, build_toolpath(problem)), start, most)
-        asked = asked_moves(problem, cell, start, spaces, controlled)
+        asked = asked_moves(problem, cell, start, spaces, language)
         files = program_files(cell, asked, problem.program.station)
         files[asked_name(problem.name)] = asked_text(asked)
         for name, text in files.items():
@@ -268,7 +269,7 @@ def _limit_lines(cell: Cell, fits: Sequence[JointFit]) -> list[str]:
     return out
 
 
-def _found_words(found: Identified, file: float) -> str:
+def _found_words(found: IdentifiedLimit, file: float) -> str:
     known = f"(file {file:.4g})"
     if not found.told:
         return f"at least {found.value:.3g} {known}"

@@ -36,6 +36,8 @@ SPACING = 1e-3  # m between waypoints
 LEAST_ROWS = 8
 OFF = 1e-3  # m by which a ruler's zero is off the line's beginning, as a standard deviation
 MOST_LAG = 2.0  # s: what process.extruder.lag_s takes
+ODD = 4.0  # times the median, beyond which a row is a mistake: the line's own steps are 1.5 times
+LEAST_EXPLAINED = 0.2  # of what varies in a table, which the line's steps must explain
 FACTOR = 5.0  # times what the line takes, beyond which a table is in another unit
 LITTLE = 1e-3  # s of lag
 SHOWN = 0.25  # standard error over value up to which a value is told
@@ -226,7 +228,7 @@ def read_asked_line(file: Path, problem: Problem) -> FlowLine:
         )
     except FileNotFoundError:
         raise InputError("there is no such file", file=file, hint=hint) from None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise InputError(f"is not what a line asked: {error}"[:160], file=file, hint=hint) from error
     sizes = np.array([line.speed, line.height, line.filament, *line.area, *np.diff(line.ends)])
     if len(line.ends) != len(line.area) + 1 or not (np.isfinite(sizes).all() and (sizes > 0.0).all()):
@@ -250,7 +252,7 @@ def read_table(file: Path, line: FlowLine) -> LineTable:
     if not rows:
         raise InputError("holds no table", file=file)
     separator = next((mark for mark in (",", ";", "\t") if mark in rows[0][1]), ",")
-    head = [name.strip().strip('"').lower() for name in next(csv.reader([rows[0][1]], delimiter=separator))]
+    head = [name.strip().strip('"').lower() for name in _words(file, *rows[0], separator)]
     weighed = "mass_mg" in head
     wanted = ("from_mm", "to_mm", "mass_mg") if weighed else ("s_mm", "width_mm")
     for name in wanted:
@@ -271,9 +273,16 @@ def read_table(file: Path, line: FlowLine) -> LineTable:
     return found
 
 
+def _words(file: Path, i: int, row: str, separator: str) -> list[str]:
+    try:
+        return next(csv.reader([row], delimiter=separator))
+    except csv.Error as error:
+        raise InputError(f"is not CSV: {error}", file=file, line=i) from None
+
+
 def _row(file: Path, i: int, row: str, separator: str, head: Sequence[str], wanted: Sequence[str]) -> list[float]:
     """The wanted numbers of a row."""
-    words = next(csv.reader([row], delimiter=separator))
+    words = _words(file, i, row, separator)
     if len(words) != len(head):
         hint = "a decimal point, not a comma" if len(words) > len(head) else "every row whole"
         raise InputError(f"{len(words)} columns, and {len(head)} in the header", file=file, line=i, hint=hint)
@@ -327,6 +336,15 @@ def _check_values(found: LineTable, numbers: Sequence[int], line: FlowLine, colu
                          line=numbers[int(wrong[0])], field=column)  # fmt: skip
     if not found.value.any():
         raise InputError("holds no mass", file=found.file, line=numbers[0], field=column)
+    each = found.value / (found.end - found.begin) if found.weighed else found.value
+    usual = float(np.median(each))
+    odd = np.flatnonzero(each > ODD * usual)
+    if len(odd):
+        reason = (
+            f"is {each[odd[0]] / usual:.3g} times what the line has on the mean" if usual else "is all that there is"
+        )
+        hint = f"the line asks {float(line.area.max() / np.median(line.area)):.3g} times at most: a decimal point?"
+        raise InputError(reason, file=found.file, line=numbers[int(odd[0])], field=column, hint=hint)
     if found.weighed:
         return
     widest = float(width_of(line.area, line.height, line.rounded).max())
@@ -385,6 +403,7 @@ def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFl
         jacobian[:, 0] = (residuals(more) - residuals(best.x)) / (10.0 * LITTLE)
     errors = np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
     flow, flow_error = float(best.x[2]), float(errors[2])
+    _check_explained(found, best.fun[:-1] * noise, value / (scale * unit))
     if found.weighed:
         per = scale / density if density is not None else math.nan
         flow, flow_error = flow * per, flow_error * per
@@ -401,6 +420,16 @@ def fit_flow(found: LineTable, line: FlowLine, density: float | None) -> FoundFl
         residual=noise / float(np.mean(value / (scale * unit))),
         rows=len(value),
     )
+
+
+def _check_explained(found: LineTable, left: Array, value: Array) -> None:
+    """Raises InputError where the steps of the line explain hardly anything of a table."""
+    varies = float(((value - value.mean()) ** 2).sum())
+    explained = 1.0 - float((left**2).sum()) / varies if varies > 0.0 else 0.0
+    if explained < LEAST_EXPLAINED:
+        reason = f"does not follow the steps of the line: they explain {max(explained, 0.0):.0%} of what varies"
+        hint = "measured from the line's beginning, in order; the file of --asked is that of this line"
+        raise InputError(reason, file=found.file, hint=hint)
 
 
 def flow_lines(found: FoundFlow) -> list[str]:

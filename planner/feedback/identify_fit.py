@@ -1,5 +1,5 @@
-"""Limits and delays of a joint from its recorded moves: profiles of both kinds, and its commands, are fitted to them by least
-squares, and nothing is differentiated.
+"""Limits of a joint from its recorded moves: profiles of both kinds are fitted to them by least squares, and nothing is
+differentiated.
 
 All moves of a joint share its limits, and each has an instant of its own. Short moves then say what the jerk is, longer
 ones the acceleration, the longest the speed. Models are tried, from the simplest on, as long as they explain more than
@@ -15,9 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from planner.base.arrays import Array, Flags, ReadOnlyArrays
 from planner.feedback.identify_match import MatchedLog
@@ -28,9 +26,11 @@ QUANTITIES = ("speed", "acceleration", "jerk")
 FLOOR = 2e-6  # rad, m: what a recording leaves out in rounding, where there is no noise
 KNOWN = 0.05  # standard error of a limit's logarithm up to which it is told: 5 %
 VAGUE = 2.0  # of a limit's logarithm before anything is known: a factor of seven either way
+WIDEST = 20.0  # of a limit's logarithm: beyond is none that a search need try
 VAGUE_MOVE = 0.5  # of one move's, around what all moves have
 DIFFER = 3.0  # times the noise's variance that residuals have, from which moves may differ; and that their limits have
 MOST_APART = 2.5  # times the least, from which moves tell nothing together
+OTHERWISE = 5e-3  # relative, from which braking differs from speeding up
 LEAST_ERROR = 1e-3  # of a limit: no profile is a robot's own to better than that
 UNEVEN = 0.02  # of the step between samples by which steps may differ before they are uneven
 MOST_UNEVEN = 0.02  # s from even samples to their stamps
@@ -60,7 +60,7 @@ class MoveSamples(ReadOnlyArrays):
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedLimit:
     """A limit that a recording shows, or what it shows instead.
 
     value    [rad, s; m where it slides]: the limit, or the greatest that was reached
@@ -97,9 +97,9 @@ class JointFit:
     """
 
     joint: int
-    speed: Identified
-    acceleration: Identified
-    jerk: Identified
+    speed: IdentifiedLimit
+    acceleration: IdentifiedLimit
+    jerk: IdentifiedLimit
     braking: tuple[float, float] | None
     lag: float
     residual: float
@@ -109,7 +109,7 @@ class JointFit:
     either: float | None = None
 
     @property
-    def limits(self) -> tuple[Identified, Identified, Identified]:
+    def limits(self) -> tuple[IdentifiedLimit, IdentifiedLimit, IdentifiedLimit]:
         """Speed, acceleration, jerk."""
         return self.speed, self.acceleration, self.jerk
 
@@ -142,7 +142,7 @@ class _Model:
         )
 
     def limits(self, shared: Array, level: int, levels: int) -> MotionLimits:
-        own = np.exp(np.clip(shared, -30.0, 30.0))
+        own = np.exp(np.clip(shared, -WIDEST, WIDEST))
         acceleration, jerk, *rest = own[levels:]
         braking = rest[0] if self.braking else acceleration
         # a mean takes as long to build up braking as acceleration
@@ -492,13 +492,19 @@ def _told(
         speed=speed,
         acceleration=acceleration,
         jerk=jerk,
-        braking=(limits.braking, limits.braking_jerk) if model.braking and own is None else None,
+        braking=_otherwise(limits) if model.braking and own is None else None,
         lag=limits.lag if own is None else own.lag,
         residual=residual,
         noise=at_rest,
         moves=len(moves),
         averaged=(time, time * float(np.hypot(rate_errors[0], jerk_errors[0]))) if model.averaged else None,
     )
+
+
+def _otherwise(limits: MotionLimits) -> tuple[float, float] | None:
+    """Acceleration and jerk of braking, where they are others than those of speeding up by more than a profile tells."""
+    ratios = np.array([limits.braking / limits.acceleration, limits.braking_jerk / limits.jerk])
+    return (limits.braking, limits.braking_jerk) if (np.abs(np.log(ratios)) > OTHERWISE).any() else None
 
 
 def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
@@ -509,14 +515,14 @@ def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
     return profile.cruise > CRUISE * profile.total, profile.held[0] > PLATEAU, profile.held[1] > PLATEAU
 
 
-def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> Identified:
+def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> IdentifiedLimit:
     """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached."""
     known = reached & (errors < KNOWN)
     if not known.any():
-        return Identified(top, float("nan"), (top, top), asked)
+        return IdentifiedLimit(top, float("nan"), (top, top), asked)
     k = int(np.argmin(np.where(known, values, np.inf)))
     value = float(values[k])
-    return Identified(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
+    return IdentifiedLimit(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
 
 
 @dataclass(frozen=True)
@@ -554,22 +560,22 @@ def _by_move(solved: _Solved, moves: Sequence[MoveSamples], noise: float) -> _Mo
     return _MovesAlone(found, lag, left[lag])
 
 
-def _least(found: Sequence[tuple[float, float]], shared: Identified) -> Identified:
+def _least(found: Sequence[tuple[float, float]], shared: IdentifiedLimit) -> IdentifiedLimit:
     """The least of some moves' limits, given with the standard errors of their logarithms; their mean where they agree;
     what was reached where fewer than two are known, or they are too far apart to be those of one robot."""
     if len(found) < 2:
-        return Identified(shared.value, float("nan"), shared.spread, shared.asked)
+        return IdentifiedLimit(shared.value, float("nan"), shared.spread, shared.asked)
     values, errors = np.array(found).T
     logs, weights = np.log(values), 1.0 / np.maximum(errors, LEAST_ERROR) ** 2
     mean = float(np.average(logs, weights=weights))
     apart = float((weights * (logs - mean) ** 2).sum()) / (len(logs) - 1)
     if apart < DIFFER:
         value, error = float(np.exp(mean)), float(np.sqrt(max(apart, 1.0) / weights.sum()))
-        return Identified(value, value * max(error, LEAST_ERROR), (value, value), shared.asked)
+        return IdentifiedLimit(value, value * max(error, LEAST_ERROR), (value, value), shared.asked)
     low, high = float(values.min()), float(values.max())
     if high > MOST_APART * low:
-        return Identified(low, float("nan"), (low, low), shared.asked)
-    return Identified(low, 0.5 * (high - low), (low, high), shared.asked)
+        return IdentifiedLimit(low, float("nan"), (low, low), shared.asked)
+    return IdentifiedLimit(low, 0.5 * (high - low), (low, high), shared.asked)
 
 
 def _solve_one(
@@ -580,7 +586,7 @@ def _solve_one(
     lag = kind[0]
 
     def limits(x: Array) -> MotionLimits:
-        speed, acceleration, jerk = np.exp(np.clip(x[:3], -30.0, 30.0)).tolist()
+        speed, acceleration, jerk = np.exp(np.clip(x[:3], -WIDEST, WIDEST)).tolist()
         return MotionLimits(speed, acceleration, jerk, acceleration, jerk, *kind)
 
     def residuals(x: Array) -> Array:
@@ -594,102 +600,3 @@ def _solve_one(
     left = found.fun[: len(move.time)]
     scale = max(1.0, float(left @ left) / max(len(left) - 4, 1))
     return limits(found.x), _errors(found.jac, scale * _repeated(left))[:3], scale
-
-
-# ----------------------------------------------------------------------------------------------------
-# How late joints follow their commands: a pure delay and a first-order lag.
-
-GRID = 0.5e-3  # s at which commands are filtered: a fraction of any controller's cycle
-LONGEST = 0.25  # s of delay that is looked for; longer ones reach into the rest before
-EARLIEST = -0.02  # s: stamps of the two may be taken at other instants of a cycle
-FIRST_DELAYS = np.arange(EARLIEST, LONGEST, 4e-3)  # s at which the search may begin
-FIRST_DELAY_LAGS = (1e-3, 0.01, 0.03)  # s, likewise
-SHORTEST_LAG = 1e-4  # s: less is none
-
-
-@dataclass(frozen=True)
-class JointDelay:
-    """By how much a joint follows its commands late.
-
-    delay, lag   pure delay and time constant of a first-order lag [s], and their standard errors
-    total        of both [s]: by so much it is late at a steady speed
-    """
-
-    joint: int
-    delay: float
-    delay_error: float
-    lag: float
-    lag_error: float
-    total: float
-    total_error: float
-
-
-@dataclass(frozen=True)
-class FollowedMove(ReadOnlyArrays):
-    """Commands on an even grid (g) from `start` on [s], and where the joint was at times (m), both from the move's start."""
-
-    start: float
-    commands: Array
-    time: Array
-    executed: Array
-
-    def modelled(self, delay: float, lag: float) -> Array:
-        """Where the joint is (m) with a delay and a lag [s]."""
-        followed = self.commands
-        if lag > SHORTEST_LAG:
-            # exact for commands that are straight from one grid point to the next
-            fading = np.exp(-GRID / lag)
-            first = 1.0 - lag / GRID * (1.0 - fading)
-            followed = lfilter([first, 1.0 - fading - first], [1.0, -fading], self.commands)
-        grid = self.start + GRID * np.arange(len(followed))
-        return np.interp(self.time - delay, grid, followed)
-
-
-def fit_delay(log: MatchedLog, asked: AskedMoves, joint: int) -> JointDelay | None:
-    """How late a joint follows its commands; None where the recording has no commands."""
-    if log.commanded is None:
-        return None
-    moves = [_followed(log, log.commanded, k, joint) for k, move in enumerate(asked.moves) if move.joint == joint]
-    noise = max(float(log.noise[joint]), FLOOR)
-    begin = min(FIRST_DELAYS, key=lambda delay: _squares(moves, float(delay), 0.0))
-    found = min(
-        (_solve_delay(moves, noise, np.array([max(begin - lag, EARLIEST + 1e-6), lag])) for lag in FIRST_DELAY_LAGS),
-        key=lambda each: float(each[2]),
-    )
-    x, covariance, _ = found
-    return JointDelay(
-        joint=joint,
-        delay=float(x[0]),
-        delay_error=float(np.sqrt(covariance[0, 0])),
-        lag=float(x[1]),
-        lag_error=float(np.sqrt(covariance[1, 1])),
-        total=float(x.sum()),
-        total_error=float(np.sqrt(max(covariance.sum(), 0.0))),
-    )
-
-
-def _followed(log: MatchedLog, commanded: Array, k: int, joint: int) -> FollowedMove:
-    (first, last), (next_first, next_last) = log.rests[k].tolist(), log.rests[k + 1].tolist()
-    part = slice(first, next_last + 1)
-    time, told, done = log.time[part] - log.time[first], commanded[part, joint], log.executed[part, joint]
-    told, done = told - told[: last - first + 1].mean(), done - done[: last - first + 1].mean()
-    grid = np.arange(0.0, time[-1], GRID)
-    seen = slice(last - first, next_first - first + 1)
-    return FollowedMove(0.0, np.asarray(CubicSpline(time, told)(grid)), time[seen], done[seen])
-
-
-def _squares(moves: Sequence[FollowedMove], delay: float, lag: float) -> float:
-    return sum(float(((move.modelled(delay, lag) - move.executed) ** 2).sum()) for move in moves)
-
-
-def _solve_delay(moves: Sequence[FollowedMove], noise: float, start: Array) -> tuple[Array, Array, float]:
-    """Delay and lag (2), their covariance (2, 2), and the sum of squares in the noise's variance."""
-
-    def residuals(x: Array) -> Array:
-        return np.concatenate([(move.modelled(x[0], x[1]) - move.executed) / noise for move in moves])
-
-    bounds = ([EARLIEST, 0.0], [LONGEST, LONGEST])
-    found = least_squares(residuals, start, bounds=bounds, x_scale=[1e-3, 1e-3], diff_step=1e-3, max_nfev=60)
-    squares = float((found.fun**2).sum())
-    scale = max(1.0, squares / max(len(found.fun) - 2, 1))
-    return found.x, np.linalg.pinv(found.jac.T @ found.jac) * scale, squares

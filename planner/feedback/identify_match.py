@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.errors import InputError
-from planner.feedback.identify_log import RobotLog
+from planner.feedback.filters import noise_of
 from planner.feedback.identify_program import AskedMoves
+from planner.feedback.readings import DEGREE, LogReading, check_clock, readings
+from planner.feedback.recordings import RobotLog
 
 SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
 LEAST_REST = 0.15  # s that joints stand, to be a rest between moves
@@ -20,10 +21,8 @@ SIGMAS = 6.0  # of noise that are no motion
 SAME = (np.radians(0.1), 0.4e-3)  # from where it was asked to rest; servos leave less [rad, m]
 STRAY = (np.radians(0.3), 1e-3)  # by which joints may move that were not asked to [rad, m]
 SLOWEST = 0.0125  # s between samples: a short move takes some 80 ms
-GAP = 5.0  # median steps: a longer one is a gap
 COMMANDED_OFF = (np.radians(1.0), 3e-3)  # from where joints were told to rest to where they do [rad, m]
 COMMANDED_STILL = (np.radians(0.1), 3e-4)  # by which commands change at most while joints rest [rad, m]
-DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True)
@@ -56,15 +55,6 @@ class RecordedRests:
         return len(self.ends)
 
 
-@dataclass(frozen=True)
-class LogReading:
-    """One way to read a file's numbers: factors and offsets (n each) that make them our joints, and in words."""
-
-    scale: Array
-    offset: Array
-    words: tuple[str, ...]
-
-
 def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
     """Find the asked moves in a recording.
 
@@ -73,10 +63,7 @@ def match(log: RobotLog, asked: AskedMoves) -> MatchedLog:
     if log.step > SLOWEST:
         hint = f"at least one every {1e3 * SLOWEST:g} ms"
         raise InputError(f"too few samples: one every {1e3 * log.step:.3g} ms", file=log.file, hint=hint)
-    tried = [
-        (reading, log.executed * reading.scale + reading.offset)
-        for reading in readings(log, asked.sliding, asked.signs, asked.offsets)
-    ]
+    tried = [(reading, reading.of(log.executed)) for reading in readings(log, asked.sliding, asked.counted)]
     for reading, q in tried:
         rests = find_rests(log.time, q, asked)
         if (first := _aligned(rests, asked)) is not None:
@@ -92,7 +79,7 @@ def find_rests(time: Array, q: Array, asked: AskedMoves) -> RecordedRests:
     sums = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(q - q[0], axis=0)])
     means = (sums[count:] - sums[:-count]) / count
     change = np.abs(means[count:] - means[:-count])  # behind and before sample i + count
-    still = np.maximum(SIGMAS * _noise(q) * np.sqrt(2.0 / count), _tolerances(asked, STILL))
+    still = np.maximum(SIGMAS * noise_of(q) * np.sqrt(2.0 / count), _tolerances(asked, STILL))
     quiet = np.zeros(len(q), dtype=np.bool_)
     quiet[count : count + len(change)] = (change < still).all(axis=1)
     # at the ends of a file there is nothing before, or behind: as beside them
@@ -125,31 +112,9 @@ def _middle(first: int, last: int) -> slice:
     return slice(int(first) + int(QUIET[0] * length), int(first) + int(QUIET[1] * length) + 1)
 
 
-def _noise(q: Array) -> Array:
-    """Standard deviation (n) of single samples: joints stand for most of the time, so the median step tells it."""
-    out: Array = 1.4826 * np.median(np.abs(np.diff(q, axis=0)), axis=0) / np.sqrt(2.0)
-    return out
-
-
 def _tolerances(asked: AskedMoves, pair: tuple[float, float]) -> Array:
     """A tolerance (n) of joints that turn, and of those that slide."""
     return np.where(np.isin(np.arange(len(asked.start)), asked.sliding), pair[1], pair[0])
-
-
-def readings(log: RobotLog, sliding: tuple[int, ...], signs: Array, offsets: Array) -> Iterator[LogReading]:
-    """The ways in which a file's numbers may be meant: units that it does not say, joints as the controller counts them,
-    which has signs * q + offsets (n each) [rad, m]."""
-    n, slides = len(signs), np.isin(np.arange(len(signs)), sliding)
-    controllers = not (np.all(signs == 1.0) and np.all(offsets == 0.0))
-    unsaid = np.isnan(log.unit)
-    for degrees in (True, False) if unsaid.any() else (True,):
-        usual = np.where(slides, 1e-3 if degrees else 1.0, DEGREE if degrees else 1.0)
-        scale = np.where(unsaid, usual, log.unit)
-        said = f"numbers without a unit are {'degrees' if degrees else 'radians'}" if unsaid.any() else ""
-        yield LogReading(scale, np.zeros(n), (said,) if said else ())
-        if controllers:
-            words = "joints are counted as the controller does"
-            yield LogReading(signs * scale, -signs * offsets, (said, words) if said else (words,))
 
 
 def _aligned(rests: RecordedRests, asked: AskedMoves) -> int | None:
@@ -181,25 +146,11 @@ def _matched(log: RobotLog, asked: AskedMoves, reading: LogReading, q: Array, re
         noise=noise,
         remarks=(
             *reading.words,
+            *log.remarks,
             f"columns {', '.join(log.told)}",
             f"{last - first + 1} samples, one every {1e3 * log.step:.3g} ms, in lines {log.lines[first]} to {log.lines[last]}",
         ),
     )
-
-
-def check_clock(log: RobotLog, first: int, last: int) -> None:
-    """Raises InputError where samples are missing between two of them, or the clock jumps."""
-    steps = np.diff(log.time[first:last])
-    gaps = np.flatnonzero(steps > GAP * log.step)
-    if len(gaps):
-        k = first + int(gaps[0])
-        longest = float(steps.max())
-        reason = (
-            f"{len(gaps)} gap{'s' if len(gaps) > 1 else ''} between samples, the longest {longest:.3f} s: samples are "
-            "missing, or the clock jumped"
-        )
-        hint = f"a recording with a sample every {1e3 * log.step:.3g} ms throughout"
-        raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
 
 
 def _check_alone(log: RobotLog, asked: AskedMoves, q: Array, middles: list[slice], stray: Array) -> None:

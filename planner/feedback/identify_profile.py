@@ -18,6 +18,8 @@ from scipy.optimize import brentq
 
 from planner.base.arrays import Array, Indices
 
+LEAST_SPEED = 1e-12  # rad/s, m/s
+
 
 @dataclass(frozen=True)
 class MotionLimits:
@@ -195,7 +197,8 @@ def _top_speed(distance: float, limits: MotionLimits) -> float:
 
     if spare(limits.speed) >= 0.0:
         return limits.speed
-    return float(brentq(spare, 0.0, limits.speed, xtol=1e-14 * limits.speed, rtol=1e-13))
+    # a search of limits tries some that are so far off that no speed is left
+    return max(float(brentq(spare, 0.0, limits.speed, xtol=1e-14 * limits.speed, rtol=1e-13)), LEAST_SPEED)
 
 
 def _cubic(c: Array, t: Array) -> Array:

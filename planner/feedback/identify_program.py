@@ -19,13 +19,9 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
-from planner.cell.kinematics.inverse import OnRail
-from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.collision.scene import Obstacles
 from planner.export.external import external_written
 from planner.export.joint_trajectory import SplineKnots, message
-from planner.export.krl import OFFSETS as KUKA_OFFSETS
-from planner.export.krl import SIGNS as KUKA_SIGNS
 from planner.export.krl import axes, krl_name
 from planner.export.languages import LANGUAGES
 from planner.export.program import ProblemSetup
@@ -33,6 +29,7 @@ from planner.export.rapid.text import comment, module_name
 from planner.export.rapid.writer import TOOL_LOAD, external_text, pose_text
 from planner.export.text import ascii_comment, number
 from planner.feedback.identify_profile import MotionLimits, move_profile
+from planner.feedback.readings import JointCounting, counting
 from planner.motion.travel.clearance import SWEPT
 from planner.problem import Problem
 
@@ -40,6 +37,8 @@ from planner.problem import Problem
 # 15 rad/s² and 750 rad/s³ is limited by its jerk alone. In longer moves a jerk only rounds corners by less than a noise of
 # 0.01 degrees, in shorter ones noise counts for more: so several short ones are made, each some times.
 SHORTEST = (np.radians(0.25), 1e-3)
+LEAST_MOVE = 0.49  # of the shortest: the way to an end of the space may be so long
+SLIDING_UNIT = 1e-3  # m of joints that slide in the file
 SHORT = 5.0  # times the shortest: moves up to that are repeated
 REPEATS = 3
 USUAL_MOST = (np.radians(180.0), 1.0)
@@ -81,7 +80,7 @@ class AskedMoves:
 
     asked   limits of speed, acceleration, jerk (n each) that the program itself sets [rad, m]; None where the controller
             takes its own
-    signs, offsets (n)   the controller's joints are signs * q + offsets [rad, m]
+    counted how the controller counts the joints
     """
 
     problem: str
@@ -91,8 +90,7 @@ class AskedMoves:
     start: Array
     moves: tuple[AskedMove, ...]
     asked: tuple[Array | None, Array | None, Array | None]
-    signs: Array
-    offsets: Array
+    counted: JointCounting
 
     @property
     def postures(self) -> Array:
@@ -153,12 +151,9 @@ def free_spaces(cell: Cell, obstacles: Obstacles, start: Array, most: Array) -> 
     return tuple(_space(cell, obstacles, start, j, float(most[j])) for j in range(len(start)))
 
 
-def asked_moves(
-    problem: Problem, cell: Cell, start: Array, spaces: Sequence[FreeSpace], controlled: tuple[str, Array, Array]
-) -> AskedMoves:
-    """The moves of a test program; those of joints without enough space are left out.
+def asked_moves(problem: Problem, cell: Cell, start: Array, spaces: Sequence[FreeSpace], language: str) -> AskedMoves:
+    """The moves of a test program in a language; those of joints without enough space are left out.
 
-    controlled  language, and signs and offsets (n each) of its controller's joints
     Raises InputError where no joint has space enough.
     """
     moves: list[AskedMove] = []
@@ -167,7 +162,6 @@ def asked_moves(
             moves += _joint_moves(j, float(start[j]), space, SHORTEST[int(not cell.limits.turns[j])])
     if not moves:
         raise InputError("no joint has space to move: choose another posture", field="--start")
-    language, signs, offsets = controlled
     limits = cell.limits
     own = {"urscript": (True, True, False), "joint_trajectory": (True, True, True)}.get(language, (False, False, False))
     values = (limits.velocity, limits.acceleration, limits.jerk)
@@ -180,8 +174,7 @@ def asked_moves(
         start=start,
         moves=tuple(moves),
         asked=(speed, acceleration, jerk),
-        signs=signs,
-        offsets=offsets,
+        counted=counting(cell, language),
     )
 
 
@@ -262,10 +255,6 @@ TO_START = 0.1  # of the joints' speed, on the way to the start
 UNLIMITED = 9999  # mm/s and deg/s: RAPID takes what the joints can do
 
 
-# ----------------------------------------------------------------------------------------------------
-# The controller's joints, as it counts them.
-
-
 def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
     """The language of a test program: as asked, or the arm's own. Raises InputError for one that does not do."""
     language = asked or cell.arm_robot.language
@@ -275,18 +264,6 @@ def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
     if (reason_not := LANGUAGES[language].unsupported(ProblemSetup(problem, cell))) is not None:
         raise InputError(f"{language} cannot say this: {reason_not}", field="--language")
     return language
-
-
-def counting(cell: Cell, language: str) -> tuple[str, Array, Array]:
-    """The language, with signs and offsets (n each) [rad, m] of its controller's joints: signs * q + offsets."""
-    signs, offsets = np.ones(len(cell.joint_names)), np.zeros(len(cell.joint_names))
-    inverse = cell.inverse.arm if isinstance(cell.inverse, OnRail) else cell.inverse
-    if LANGUAGES[language].counted and isinstance(inverse, PlacedWrist):
-        signs[cell.own], offsets[cell.own] = inverse.signs, inverse.offsets
-    if language == "krl":
-        signs[cell.own] *= KUKA_SIGNS
-        offsets[cell.own] = KUKA_SIGNS * offsets[cell.own] + KUKA_OFFSETS
-    return language, signs, offsets
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -321,7 +298,7 @@ def _steps(asked: AskedMoves) -> list[tuple[AskedMove | None, float]]:
 def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
     name = module_name(f"identify_{asked.problem}")
     q, limits = asked.postures, cell.limits
-    own = np.degrees(q * asked.signs + asked.offsets)[:, cell.own]
+    own = np.degrees(q * asked.counted.signs + asked.counted.offsets)[:, cell.own]
     external = external_text(external_written(cell, q[:, cell.besides]))
     unit = [] if cell.holder_robot is None else [station]
     lines = [
@@ -356,7 +333,7 @@ def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
 def _krl(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
     name = krl_name(f"identify_{asked.problem}")
     q = asked.postures
-    own = np.degrees(q * asked.signs + asked.offsets)[:, cell.own]
+    own = np.degrees(q * asked.counted.signs + asked.counted.offsets)[:, cell.own]
     external = external_written(cell, q[:, cell.besides])
     lines = [
         "&ACCESS RVP",
@@ -449,8 +426,8 @@ def asked_text(asked: AskedMoves) -> str:
                 "name": name,
                 "unit": "mm" if j in asked.sliding else "deg",
                 "start": round(float(asked.start[j] / units[j]), 6),
-                "controller_sign": int(asked.signs[j]),
-                "controller_offset": round(float(asked.offsets[j] / units[j]), 6),
+                "controller_sign": int(asked.counted.signs[j]),
+                "controller_offset": round(float(asked.counted.offsets[j] / units[j]), 6),
                 **{
                     f"asked_{what}": None if value is None else float(value[j])
                     for what, value in zip(("speed", "acceleration", "jerk"), asked.asked, strict=True)
@@ -490,11 +467,13 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         found = tuple(_move(move, names, units) for move in moves)
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, hint=f"{hint}; --asked names it") from None
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise InputError(f"{wrong}: {error}", file=path, hint=hint) from error
     proper = all(np.isfinite(column).all() for column in columns.values())
     if not found or not proper or (np.abs(columns["controller_sign"]) != 1.0).any():
         raise InputError(f"{wrong}: it has no moves, or places that are no numbers", file=path, hint=hint)
+    if any(each is not None and not (np.isfinite(each) & (each > 0.0)).all() for each in asked):
+        raise InputError(f"{wrong}: a limit of it is not above 0", file=path, hint=hint)
     return AskedMoves(
         problem=str(data["problem"]),
         language=str(data["language"]),
@@ -503,8 +482,7 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         start=columns["start"] * units,
         moves=found,
         asked=(asked[0], asked[1], asked[2]),
-        signs=columns["controller_sign"],
-        offsets=columns["controller_offset"] * units,
+        counted=JointCounting(columns["controller_sign"], columns["controller_offset"] * units),
     )
 
 
@@ -520,8 +498,10 @@ def _check_cell(path: Path, names: tuple[str, ...], joints: list[Any], cell: Cel
 def _move(data: dict[str, Any], names: tuple[str, ...], units: Array) -> AskedMove:
     j = names.index(str(data["joint"]))
     start, end, share = float(data["from"]), float(data["to"]), float(data["share_of_speed"])
-    if not (0.0 < share <= 1.0 and start != end and np.isfinite([start, end]).all()):
-        raise ValueError("a move that goes nowhere")
+    shortest = SHORTEST[int(units[j] == SLIDING_UNIT)]
+    length = abs(end - start) * float(units[j])
+    if not (0.0 < share <= 1.0 and LEAST_MOVE * shortest <= length < np.inf):
+        raise ValueError("a move that goes nowhere, or endlessly far")
     return AskedMove(j, start * float(units[j]), end * float(units[j]), share)
 
 
@@ -537,5 +517,5 @@ def _optional(rows: list[Any], key: str) -> Array | None:
 def _file_units(sliding: tuple[int, ...], n: int) -> Array:
     """What the file's numbers are in rad and m (n)."""
     units = np.full(n, np.pi / 180.0)
-    units[list(sliding)] = 1e-3
+    units[list(sliding)] = SLIDING_UNIT
     return units

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,8 +18,9 @@ from planner.base.signals import interruptions_held
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import RobotFile, read_robot_file
-from planner.feedback.identify_fit import QUANTITIES, Identified, JointDelay, JointFit
-from planner.feedback.identify_path import PathFindings
+from planner.feedback.identify_delay import JointDelay
+from planner.feedback.identify_findings import PathFindings
+from planner.feedback.identify_fit import QUANTITIES, IdentifiedLimit, JointFit
 from planner.problem import Problem
 from planner.problem.rewrite import Value, with_values
 
@@ -68,7 +70,7 @@ def check_targets(robots: Sequence[MeasuredRobot], folder: Path) -> None:
             raise OutputError(f"{robot.target(folder)} is there already, and stays as it is: name a folder with --out")
 
 
-def usable(found: Identified) -> bool:
+def usable(found: IdentifiedLimit) -> bool:
     """Whether a limit is written: it is told, and is the robot's own rather than what the program had set."""
     return found.told and not found.as_asked
 
@@ -142,7 +144,7 @@ def write_controller(
     if isinstance(urdf, str) and not Path(urdf).is_absolute():
         changes["urdf"] = Path(os.path.relpath(file.urdf().resolve(), folder.resolve())).as_posix()
     lines = [
-        f"# Its controller, measured by `beadwise identify` from {source.name} (SHA-256 {digest(source)[:16]}):",
+        f"# Its controller, measured by `beadwise identify` from {source.name} (SHA-256 {digest_of(source)[:16]}):",
         *(f"# {each}" for each in about),
     ]
     target = robot.target(folder)
@@ -154,6 +156,16 @@ def write_controller(
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror}") from error
     return target
+
+
+def digest_of(source: Path) -> str:
+    """SHA-256 of a recording, in hexadecimal digits; of a bag that is a folder, of its files' in the order of their names."""
+    if not source.is_dir():
+        return digest(source)
+    own = hashlib.sha256()
+    for path in sorted(each for each in source.iterdir() if each.is_file()):
+        own.update(f"{path.name} {digest(path)}\n".encode())
+    return own.hexdigest()
 
 
 def measured_text(
@@ -168,7 +180,7 @@ def measured_text(
     text = _read(robot.path)
     changes, told = _changes(robot, file, fits, source, folder)
     lines = [
-        f"# Measured by `beadwise identify` from {source.name} (SHA-256 {digest(source)[:16]}), standard errors in brackets;",
+        f"# Measured by `beadwise identify` from {source.name} (SHA-256 {digest_of(source)[:16]}), standard errors in brackets;",
         "# what is not named here is as it was in the file of which this is a copy.",
         *(
             f"# {name}: {_joint_words(fit, delays.get(fit.joint))}"
@@ -230,7 +242,7 @@ def _joint_words(fit: JointFit, delay: JointDelay | None) -> str:
     return f"{', '.join(parts)}; {fit.moves} moves"
 
 
-def _limit_words(found: Identified) -> str:
+def _limit_words(found: IdentifiedLimit) -> str:
     if not found.told:
         return f"not reached, at least {found.value:.3g}"
     words = f"{found.value:.{DIGITS}g} ({100.0 * found.error / found.value:.2g} %)"

@@ -17,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Ints
 from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
@@ -27,15 +28,14 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import executed_run
 from planner.export.player.play import play
 from planner.export.write import forecast_words, program_notes
-from planner.feedback.identify_log import add_recording, read_log
 from planner.feedback.learn_fit import (
     Lessons,
     RunErrors,
-    bends,
     errors_of,
     evened,
     evened_around,
     less_around,
+    most_bent,
     next_lessons,
 )
 from planner.feedback.learn_telling import (
@@ -53,7 +53,8 @@ from planner.feedback.learn_telling import (
 )
 from planner.feedback.learn_track import recorded_way, way_along
 from planner.feedback.planned import planned_problem
-from planner.motion.as_run import asked_of, corrections_of
+from planner.feedback.recordings import add_recording, read_log
+from planner.motion.as_run import Corrections, asked_of, asked_trajectory, corrections_of
 from planner.plan import Check, Plan
 from planner.plan.seal import sealed
 from planner.planning.options import add_set, add_strategy
@@ -67,8 +68,9 @@ from planner.report.summary import print_summary
 RESULTS_BY = "learn"  # whose files they are, in manifests
 MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
 TRIES = 12  # smoother and smaller corrections, until they hold
-SMOOTHER = 0.6  # of what corrections may bend, from try to try
+SMOOTHER = 0.6  # of what corrections of a bead may bend, from try to try
 FORETOLD = 3  # runs
+TOO_NOISY = 0.5e-3  # m of one recorded tip: with more, corrections would be noise
 LEAST_KNOWN = 10  # samples of beads that a recording must show
 EVENED = 3e-3  # m of bead, on which corrections are evened where lines would be too quick
 AROUND = 10e-3  # m of bead, on which corrections are made smaller where they would not be safe
@@ -125,6 +127,11 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
     errors = errors_of(plan.trajectory, way)
     if np.count_nonzero(errors.known) < LEAST_KNOWN:
         raise InputError("gaps leave nothing of any bead", file=options.log, hint="record all joints all the time")
+    if errors.noise > TOO_NOISY:
+        reason = f"too noisy: the recorded tip scatters by {1e3 * errors.noise:.2f} mm"
+        raise InputError(
+            reason, file=options.log, hint=f"{1e3 * TOO_NOISY:g} mm at most; joints of one instant, more digits"
+        )
     print("\n".join(run_lines(plan, way, errors, run_of(problem))), flush=True)
     corrections = corrections_of(problem, plan.toolpath)
     before = None if corrections is None else read_lessons(problem, corrections)
@@ -210,8 +217,8 @@ def learned_plan(
     quicker than those of the program without."""
     failed: tuple[Check, ...] = ()
     corrections = lessons.corrections
-    smoothed, bend = 0, float(bends(corrections).max(initial=0.0))
-    usual = len(_hasty(replace(plan, asked=None), language)[1])
+    smoothed, bend = 0, most_bent(corrections, len(plan.toolpath.beads))
+    usual = len(_hasty(replace(plan, asked=None), language))
     with tempfile.TemporaryDirectory() as folder:
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
@@ -219,12 +226,16 @@ def learned_plan(
             write_lessons(replace(lessons, corrections=corrections), plan.trajectory, errors, spec.corrections)
             with stages.stage("export"):
                 asked = replace(plan, asked=asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory))
-                differences, hasty = _hasty(asked, language)
-            if differences:
+                differences = _differences(asked, language)
+                beads = _not_followed(plan, corrections, np.unique(corrections.bead), language) if differences else None
+            if beads is not None:
                 failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
-                bend, smoothed = SMOOTHER * bend, smoothed + 1
-                corrections = evened(corrections, bend)
+                bend[beads] *= SMOOTHER
+                own = np.isin(corrections.bead, beads)
+                corrections = evened(corrections, np.where(own, bend[corrections.bead], np.inf))
+                smoothed += 1
                 continue
+            hasty = _hasty(asked, language)
             if len(hasty) > usual and not last:
                 for sample in hasty:
                     corrections = evened_around(corrections, *_place(plan, sample), EVENED)
@@ -239,18 +250,33 @@ def learned_plan(
     return Learned(plan, replace(lessons, corrections=corrections), smoothed, failed)
 
 
-def _hasty(plan: Plan, language: str) -> tuple[list[str], list[int]]:
-    """How a plan's program differs from it, if it does; and samples at the ends of moves on beads that take less time than
-    the controller is known to need."""
+def _differences(plan: Plan, language: str) -> list[str]:
+    """How a plan's program differs from it, if it does."""
+    return LANGUAGES[language].differences(plan, LANGUAGES[language].write(plan))
+
+
+def _not_followed(plan: Plan, corrections: Corrections, beads: Ints, language: str) -> Ints:
+    """Of beads whose corrections lines of the program do not follow those that make it differ by themselves; all of them where
+    none does."""
+    if len(beads) < 2:
+        return beads
+    found = []
+    for half in np.array_split(beads, 2):
+        own = np.isin(corrections.bead, half)[:, None] * corrections.shift
+        asked = asked_trajectory(plan.cell, plan.trajectory, Corrections(corrections.bead, corrections.s, own))
+        if _differences(replace(plan, asked=asked), language):
+            found.append(_not_followed(plan, corrections, half, language))
+    return np.concatenate(found) if found else beads
+
+
+def _hasty(plan: Plan, language: str) -> list[int]:
+    """Samples at the ends of moves on beads that take less time than the controller is known to need."""
     own = LANGUAGES[language].write(plan)
-    differences = LANGUAGES[language].differences(plan, own)
-    if differences:
-        return differences, []
     program, cell = LANGUAGES[language].program(plan, own), LANGUAGES[language].plan(plan).cell
     controller = controller_of(plan, language)
     close = close_moves(play(program, cell, controller.motion), controller)
     tip = (plan.asked or plan.trajectory).tip
-    return [], np.unique(cKDTree(tip).query(program.position[close])[1]).tolist()
+    return np.unique(cKDTree(tip).query(program.position[close])[1]).tolist()
 
 
 def _place(plan: Plan, sample: int) -> tuple[int, float]:

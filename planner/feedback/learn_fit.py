@@ -14,7 +14,8 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
+from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
+from planner.feedback.filters import noise_of
 from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import Corrections
 from planner.plan import Trajectory
@@ -22,7 +23,6 @@ from planner.plan import Trajectory
 KNOT = 16e-3  # s of planned motion between places of corrections: lines shorter than that no controller is asked for
 BEND = 0.1e-3  # m by which corrections may bend from place to place: what is smoother than noise of that is believed
 QUIET = 2e-6  # m: recordings are no better than that
-TO_SIGMA = 1.4826  # from the median of deviations to the standard one, of a normal distribution
 APART = 1e-6  # m: places of corrections are not nearer to each other
 AROUND = 4  # places to either side, 64 ms: over these it is judged whether a run was better
 MORE, LESS = 1.5, 0.5  # times the gain, where a run was better, and where it was not
@@ -57,7 +57,7 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     n = len(t)
     place, first = np.unique(np.maximum.accumulate(run.place), return_index=True)
     rows = np.arange(n)
-    executed = np.column_stack([np.interp(rows, place, column[first]) for column in run.tip.T])
+    executed = _executed(run, rows)
     when = np.interp(rows, place, run.time[first])
     known = t.deposit & (rows >= place[0]) & (rows <= place[-1])
     for a, b in run.gaps:
@@ -67,7 +67,21 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     along = along / np.where(size > 0.0, size, 1.0)
     off = executed - t.tip
     off -= (off * along).sum(axis=1, keepdims=True) * along
-    return RunErrors(np.where(known[:, None], off, 0.0), known, _speed(t, when, known), _noise(run))
+    return RunErrors(
+        np.where(known[:, None], off, 0.0),
+        known,
+        _speed(t, when, known),
+        float(np.sqrt((noise_of(run.tip) ** 2).mean())),
+    )
+
+
+def _executed(run: RecordedWay, rows: Ints) -> Array:
+    """Executed tips (n, 3) [m] at samples of the plan (n): the mean of what was recorded around each, straight between these."""
+    near = np.rint(run.place).astype(np.int64)
+    count = np.bincount(near)
+    there = np.flatnonzero(count)
+    place, *tip = (np.bincount(near, column)[there] / count[there] for column in (run.place, *run.tip.T))
+    return np.column_stack([np.interp(rows, place, column) for column in tip])
 
 
 def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
@@ -79,12 +93,6 @@ def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
     took = when[b] - when[a]
     out: Array = np.where(inside & (took > 0.0), (way[b] - way[a]) / np.where(took > 0.0, took, 1.0), np.nan)
     return out
-
-
-def _noise(run: RecordedWay) -> float:
-    """Standard deviation of one recorded tip in one direction [m], by what no motion does: its third differences."""
-    third = np.diff(run.tip, n=3, axis=0) / np.sqrt(20.0)
-    return float(np.sqrt(np.square(TO_SIGMA * np.median(np.abs(third), axis=0)).mean()))
 
 
 @dataclass(frozen=True)
@@ -186,8 +194,15 @@ def bends(corrections: Corrections) -> Array:
     return out
 
 
-def evened(corrections: Corrections, bend: float) -> Corrections:
-    """The same; where one is off the mean of its neighbours by more than `bend` [m], half way towards that."""
+def most_bent(corrections: Corrections, beads: int) -> Array:
+    """The greatest bend (b) of corrections on each of so many beads [m]."""
+    out = np.zeros(beads)
+    np.maximum.at(out, corrections.bead, bends(corrections))
+    return out
+
+
+def evened(corrections: Corrections, bend: Array) -> Corrections:
+    """The same; where one is off the mean of its neighbours by more than `bend` (k) [m], half way towards that."""
     return _evened_at(corrections, np.flatnonzero(bends(corrections) > bend))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import OutputError
 from planner.feedback.learn_fit import Lessons, RunErrors
 from planner.feedback.learn_track import RecordedWay
-from planner.motion.as_run import COLUMNS, Corrections
+from planner.motion.as_run import COLUMNS, Corrections, read_columns
 from planner.plan import Plan, Trajectory
 from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
@@ -27,6 +28,7 @@ BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy
 WORTH = 0.9  # of what the run before was off: a run that leaves more has hardly anything left to teach
 WORST = 3  # places that are named
 NEAR = 0.1  # mm
+FARTHEST = 10.0  # mm that runs may have left, or corrections had: a recording that is farther off is refused
 APART = 5e-3  # m along a bead between these
 AT_SPEED = 0.02  # of a bead's speed
 _RUN = "_run_"  # before the number of a run in the name of its problem
@@ -56,14 +58,12 @@ def read_lessons(problem: Problem, corrections: Corrections) -> Lessons:
     spec = problem.as_run
     if spec is None:
         raise ValueError("a problem without corrections")
-    with spec.corrections.open(encoding="utf-8", newline="") as stream:
-        rows = list(csv.DictReader(stream))
-    try:
-        table = np.array([[float(row[name]) for name in (*BEST, *LEFT, GAIN)] for row in rows])
-    except (KeyError, TypeError, ValueError):
-        hint = "the file as beadwise learn wrote it"
-        reason = f"{spec.corrections.name} does not hold what earlier runs taught"
-        raise problem.error("as_run.corrections", reason, hint) from None
+    complain = partial(problem.error, "as_run.corrections")
+    numbered, table = read_columns(spec.corrections, (*BEST, *LEFT, GAIN), complain)
+    beyond = (np.abs(table[:, :6]).max(axis=1, initial=0.0) > FARTHEST) | (table[:, 6] < 0.0) | (table[:, 6] > 1.0)
+    if beyond.any():
+        reason = f"{spec.corrections.name}, line {numbered[int(np.argmax(beyond))]}: no run can have taught that"
+        raise complain(reason, hint="the file as beadwise learn wrote it")
     return Lessons(corrections, table[:, :3] * 1e-3, table[:, 3:6] * 1e-3, table[:, 6])
 
 

@@ -24,10 +24,12 @@ UNITS = {"mm": 1e-3, "m": 1.0}
 FRAMES = ("part", "plate", "world")
 SUFFIXES = (".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz", ".npy")
 LARGEST_FILE = 500_000_000  # bytes: some ten million points of text
+FARTHEST = 1e9  # of a coordinate, in any unit
 FEWEST, MOST = 200, 20_000_000  # points: fewer tell of no layer, more take more memory than there may be
 _COLUMN = re.compile(r"([xyz])(?:[_\[( ]*(mm|m)[\])]?)?", re.IGNORECASE)
 _COMMENTS = ("#", "//", "%")
-_UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OSError, zipfile.BadZipFile)
+_UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OSError, OverflowError,
+               MemoryError, zipfile.BadZipFile)  # fmt: skip
 
 
 def read_cloud(path: Path, unit: str | None = None) -> Array:
@@ -53,12 +55,13 @@ def read_cloud(path: Path, unit: str | None = None) -> Array:
         raise complain(f"its header says {told}, and --unit {unit}", hint="leave --unit out")
     if not FEWEST <= len(points) <= MOST:
         raise complain(f"holds {len(points)} points", hint=f"{FEWEST} to {MOST:,}")
-    finite = np.isfinite(points).all(axis=1)
+    finite = (np.abs(points) < FARTHEST).all(axis=1)
     if not finite.all():
         count, first = int((~finite).sum()), int(np.argmin(finite))
-        raise complain(
-            f"{count} of its {len(points)} points are not finite, the first is number {first}", hint="leave them out"
+        reason = (
+            f"{count} of its {len(points)} points are not finite, or endlessly far away, the first is number {first}"
         )
+        raise complain(reason, hint="leave them out")
     return points * UNITS[unit or told or "mm"]
 
 
@@ -81,7 +84,8 @@ def _ply(path: Path, complain: Complaint) -> Array:
     import trimesh
 
     try:
-        with path.open("rb") as stream:
+        # numbers that no float holds are told below, by what they became
+        with path.open("rb") as stream, np.errstate(all="ignore"):
             found: Any = trimesh.load(stream, file_type="ply", process=False)
         points = np.asarray(found.vertices, dtype=np.float64)
     except _UNREADABLE as error:
@@ -95,12 +99,13 @@ def _arrays(path: Path, complain: Complaint) -> Array:
     """The array of a NumPy file, or those of an archive."""
     read_bytes(path, LARGEST_FILE, complain, "thin it out")
     try:
-        held: Any = np.load(path, allow_pickle=False)
-        if isinstance(held, np.ndarray):
-            points = np.asarray(held, dtype=np.float64)
-        else:
-            with held:
-                points = _of_archive(held)
+        with path.open("rb") as stream, np.errstate(all="ignore"):
+            held: Any = np.load(stream, allow_pickle=False)
+            if isinstance(held, np.ndarray):
+                points = np.asarray(held, dtype=np.float64)
+            else:
+                with held:
+                    points = _of_archive(held)
     except (*_UNREADABLE, RuntimeError) as error:
         raise complain("is no NumPy file of points", hint="an array (n, 3), or x, y and z") from error
     if points.ndim != 2 or points.shape[1] < 3:
@@ -129,6 +134,8 @@ def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
     columns, unit = _columns(rows[0][1], mark)
     if columns is not None:
         rows = rows[1:]
+    if not rows:
+        raise complain("holds no points")
     at = columns or [0, 1, 2]
     try:
         table = np.loadtxt((text for _, text in rows), delimiter=mark, usecols=at, ndmin=2, comments=None)

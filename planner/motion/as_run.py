@@ -7,6 +7,7 @@ how much is told at places along each bead, and is interpolated straight between
 from __future__ import annotations
 
 import csv
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,9 +25,11 @@ from planner.toolpath.bead import Toolpath
 
 COLUMNS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")  # of the file, and more that is for people
 LARGEST_FILE = 300_000_000  # bytes: some six million places, or a day of printing
+LARGEST = 1e9  # a number in it: beads, and mm
 FADE = 5e-3  # m of way on which a displacement fades before and behind a bead, or half of what lies between two
 BEYOND = 1e-4  # m by which a place may lie behind its bead's end
 ROUNDING = 1e-6  # relative, of numbers in the file
+_WRITTEN = "beadwise learn writes them"
 BLOCK = 20_000  # samples whose postures are sought at once: bounds the memory
 
 
@@ -47,25 +50,34 @@ class Corrections(ReadOnlyArrays):
         return float(np.linalg.norm(self.shift, axis=1).max(initial=0.0))
 
 
-def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Corrections:
-    """The corrections in a file. Raises InputError, made by `complain`, for anything that is none of this toolpath's."""
+def read_columns(path: Path, names: Sequence[str], complain: Complaint) -> tuple[list[int], Array]:
+    """Columns of a file of corrections: the line of each row (k), and its numbers (k, c). Raises InputError, made by
+    `complain`, for what is no such table."""
     lines = read_text(path, LARGEST_FILE, complain)
-    rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].startswith("#")]
-    header = [name.strip() for name in rows[0][1]] if rows else []
-    missing = [name for name in COLUMNS if name not in header]
-    if missing:
-        raise complain(f"{path.name} holds no corrections: no column {missing[0]}", hint="beadwise learn writes them")
-    at = [header.index(name) for name in COLUMNS]
     try:
-        table = np.array([[row[i] for i in at] for _, row in rows[1:]], dtype=np.float64).reshape(-1, len(COLUMNS))
+        rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].startswith("#")]
+    except csv.Error as error:
+        raise complain(f"{path.name} is not CSV: {error}", hint=_WRITTEN) from None
+    header = [name.strip() for name in rows[0][1]] if rows else []
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise complain(f"{path.name} holds no corrections: no column {missing[0]}", hint=_WRITTEN)
+    at = [header.index(name) for name in names]
+    try:
+        table = np.array([[row[i] for i in at] for _, row in rows[1:]], dtype=np.float64).reshape(-1, len(names))
     except (ValueError, IndexError):
         line = next(line for line, row in rows[1:] if not _are_numbers(row, at))
-        raise complain(
-            f"{path.name}, line {line}: not {len(COLUMNS)} numbers", hint="beadwise learn writes them"
-        ) from None
+        raise complain(f"{path.name}, line {line}: not {len(names)} numbers", hint=_WRITTEN) from None
     numbered = [line for line, _ in rows[1:]]
+    wrong = np.asarray(~(np.abs(table) < LARGEST).all(axis=1))
+    _wrong(path, complain, numbered, wrong, "a number is not finite, or far too large")
+    return numbered, table
+
+
+def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Corrections:
+    """The corrections in a file. Raises InputError, made by `complain`, for anything that is none of this toolpath's."""
+    numbered, table = read_columns(path, COLUMNS, complain)
     wrong = partial(_wrong, path, complain, numbered)
-    wrong(np.asarray(~np.isfinite(table).all(axis=1)), "a number is not finite")
     bead = table[:, 0].astype(np.int64)
     beads = toolpath.beads
     wrong((bead != table[:, 0]) | (bead < 0) | (bead >= len(beads)), f"no bead of the {len(beads)} that there are")
@@ -86,7 +98,7 @@ def _are_numbers(row: list[str], at: list[int]) -> bool:
 
 def _wrong(path: Path, complain: Complaint, lines: list[int], bad: Flags, reason: str) -> None:
     if bad.any():
-        raise complain(f"{path.name}, line {lines[int(np.argmax(bad))]}: {reason}", hint="beadwise learn writes them")
+        raise complain(f"{path.name}, line {lines[int(np.argmax(bad))]}: {reason}", hint=_WRITTEN)
 
 
 def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:

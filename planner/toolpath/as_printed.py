@@ -129,7 +129,10 @@ def left(deviation: Array, most: float, layers: int) -> Array:
 def read_map(path: Path, radius: float, complain: Complaint) -> DeviationField:
     """The height map in a file. Raises InputError, made by `complain`, where there is none, or one of its rows is none."""
     lines = read_text(path, LARGEST_MAP, complain)
-    rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
+    try:
+        rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if row]
+    except csv.Error as error:
+        raise complain(f"{path.name} is not CSV: {error}", hint="beadwise scan writes it") from None
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in COLUMNS if name not in header]
     if missing or len(rows) < 2:

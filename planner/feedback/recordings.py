@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.command_line import Command
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_text
 from planner.cell.cell import Cell
-from planner.feedback.identify_bag import BagTable, is_bag, read_bag
+from planner.feedback.bags import BagTable, is_bag, read_bag
+from planner.feedback.glitches import cleaned
 
 LARGEST_FILE = 300_000_000  # bytes: an hour of a thousand samples a second
 LEAST_SAMPLES = 50
@@ -40,6 +41,8 @@ PLACES = {"deg": DEGREE, "degree": DEGREE, "degrees": DEGREE, "°": DEGREE, "rad
 CLOCKS = {"s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6,
           "µs": 1e-6, "usec": 1e-6, "ns": 1e-9, "nsec": 1e-9, "nsecs": 1e-9, "nanosec": 1e-9}  # fmt: skip
 ROS_STAMP = 1e16  # beyond, a stamp without a unit counts nanoseconds since 1970, as rostopic writes them
+MOST_STAMP = 1e19  # of a clock: nanoseconds since 1970 are some 1.7e18
+MOST_PLACE = 1e6  # of a joint in any unit: thousands of turns in degrees, a kilometre in mm
 LEAST_STEP, MOST_STEP = 0.2e-3, 0.5  # s between samples: anything else is another unit
 SPELLINGS = "t_s, then joint names, or J1 … J6, q1 … q6, A1 … A6, actual_q_0 … actual_q_5, with _deg or _rad"
 _WORD = re.compile(r"[a-z°µ]+|[0-9]+")
@@ -54,6 +57,7 @@ class RobotLog(ReadOnlyArrays):
     executed (m, n)      where the joints were; commanded (m, n): where they were told to be, if the file knows
     unit (n)             what the numbers are in [rad, m]; NaN where the file does not say
     told                 names of the columns that were taken, in the order of time, executed, commanded
+    remarks              what was left out of it, in words
     """
 
     file: Path
@@ -64,6 +68,7 @@ class RobotLog(ReadOnlyArrays):
     unit: Array
     commanded_unit: Array | None
     told: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
     @property
     def step(self) -> float:
@@ -132,7 +137,7 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic
         raise InputError(f"holds {len(rows)} samples", file=file, hint=f"at least {LEAST_SAMPLES}")
     table = _numbers(file, rows, separator, [*clocks, *places.values()])
     numbers = np.array([i for i, _ in rows], dtype=np.int64)
-    return _running_on(_log(file, numbers, table, clocks, places))
+    return _without_glitches(_running_on(_log(file, numbers, table, clocks, places)))
 
 
 def _of_bag(file: Path, bag: BagTable, cell: Cell) -> RobotLog:
@@ -140,12 +145,14 @@ def _of_bag(file: Path, bag: BagTable, cell: Cell) -> RobotLog:
     if len(bag.numbers) < LEAST_SAMPLES:
         raise InputError(f"holds {len(bag.numbers)} samples", file=file, hint=f"at least {LEAST_SAMPLES}")
     columns = [*clocks, *places.values()]
-    return _running_on(_log(file, bag.messages, bag.numbers[:, [column.k for column in columns]], clocks, places))
+    table = bag.numbers[:, [column.k for column in columns]]
+    return _without_glitches(_running_on(_log(file, bag.messages, table, clocks, places)))
 
 
 def _log(
     file: Path, lines: Ints, table: Array, clocks: Sequence[LogColumn], places: dict[tuple[str, int], LogColumn]
 ) -> RobotLog:
+    _check_size(file, lines, table, [*clocks, *places.values()])
     n = sum(role == "executed" for role, _ in places)
     executed, commanded = np.empty((len(lines), n)), np.empty((len(lines), n))
     unit, commanded_unit = np.empty(n), np.empty(n)
@@ -161,8 +168,24 @@ def _log(
         commanded=commanded if there else None,
         unit=unit,
         commanded_unit=commanded_unit if there else None,
-        told=tuple(column.name for column in (*clocks, *places.values())),
+        told=tuple(column.name for column in (*clocks, *(places[key] for key in sorted(places, key=_by_role)))),
     )
+
+
+def _by_role(key: tuple[str, int]) -> tuple[bool, int]:
+    role, joint = key
+    return role == "commanded", joint
+
+
+def _check_size(file: Path, lines: Ints, table: Array, columns: Sequence[LogColumn]) -> None:
+    """Raises InputError for a number that is too large for what it stands for, in any unit."""
+    most = np.array([MOST_STAMP if column.role == "time" else MOST_PLACE for column in columns])
+    beyond = np.abs(table) > most
+    if beyond.any():
+        row, column = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+        what = "no clock's" if columns[int(column)].role == "time" else "no joint's"
+        reason = f"column {columns[int(column)].name[:40]!r} is {table[row, column]:.3g} here, which is {what}"
+        raise InputError(reason, file=file, line=int(lines[int(row)]))
 
 
 def _time(file: Path, lines: Ints, table: Array, clocks: Sequence[LogColumn]) -> Array:
@@ -203,9 +226,23 @@ def _running_on(log: RobotLog) -> RobotLog:
         reason = f"the clock stands still {log.time[k]:.6g} s behind the first sample while the joints move"
         hint = f"{len(moved)} times in all; stamps with more digits"
         raise InputError(reason, file=log.file, line=int(log.lines[k + 1]), hint=hint)
-    kept = np.append(True, ~still)
+    return _rows_of(log, np.append(True, ~still))
+
+
+def _rows_of(log: RobotLog, kept: Flags) -> RobotLog:
+    """The recording of some of its samples."""
     commanded = None if log.commanded is None else log.commanded[kept]
     return replace(log, lines=log.lines[kept], time=log.time[kept], executed=log.executed[kept], commanded=commanded)
+
+
+def _without_glitches(log: RobotLog) -> RobotLog:
+    """The recording without samples that no robot can have made. Raises InputError where these are not single ones."""
+    if len(log.time) < LEAST_SAMPLES:
+        hint = f"at least {LEAST_SAMPLES}"
+        raise InputError(f"holds {len(log.time)} samples at different times", file=log.file, hint=hint)
+    columns = log.executed.shape[1] * (1 if log.commanded is None else 2)
+    found = cleaned(log.file, log.lines, log.time, log.executed, log.told[len(log.told) - columns :])
+    return log if not found.remarks else replace(_rows_of(log, found.kept), remarks=found.remarks)
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,15 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, recorded
-from planner.base.errors import InputError
+from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.cell.cell import Cell
-from planner.feedback.identify_bag import is_bag, read_bag
-from planner.feedback.identify_log import read_log
+from planner.feedback.bags import is_bag, read_bag
+from planner.feedback.identify_command import main
 from planner.feedback.identify_match import match
-from tests.test_identify import asked_of, cell_of, truth_of
+from planner.feedback.identify_program import asked_text
+from planner.feedback.identify_robot_file import digest_of
+from planner.feedback.recordings import read_log
+from tests.identify_fixtures import asked_of, cell_of, truth_of
 
 pytest.importorskip("rosbags")
 
@@ -206,6 +211,73 @@ def test_a_spoilt_bag_is_refused(tmp_path: Path, kind: str, spoilt: Callable[[by
     if kind != "bag":
         with pytest.raises(InputError):
             read_log(path, cell)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_bag_with_any_bytes_overwritten_is_read_or_refused(tmp_path: Path, kind: str) -> None:
+    """Lengths of records, too, which their packages believe."""
+    _, cell = cell_of("cylinder_logo")
+    path = bag_of(tmp_path, kind, {"/joint_states": messages(cell.joint_names, *short(cell))})
+    file = path if kind == "bag" else next(each for each in path.iterdir() if each.suffix in (".db3", ".mcap"))
+    whole = file.read_bytes()
+    random = np.random.default_rng(1)
+    for k in random.integers(0, len(whole) - 8, 60).tolist():
+        for new in (b"\xff" * 8, b"\x00" * 8, (2**62).to_bytes(8, "little")):
+            file.write_bytes(whole[:k] + new + whole[k + 8 :])
+            with suppress(InputError):
+                read_log(file, cell)
+
+
+def test_joints_of_a_publisher_that_stops_are_not_taken_to_stand(tmp_path: Path) -> None:
+    _, cell = cell_of("cylinder_logo")
+    time, q = short(cell, 200)
+    arm, rest = cell.joint_names[:6], cell.joint_names[6:]
+    both = [*messages(arm, time, q[:, :6]), *messages(rest, time[20:120], q[20:120, 6:])]
+    log = read_log(bag_of(tmp_path, "mcap", {"/joint_states": both}), cell)
+    assert len(log.time) == 102
+    np.testing.assert_allclose(log.executed[1:-1], q[20:120], atol=1e-9)
+    (tmp_path / "apart").mkdir()
+    apart = [*messages(arm, time[:60], q[:60, :6]), *messages(rest, time[100:], q[100:, 6:])]
+    with pytest.raises(InputError, match="its joints were recorded at different times"):
+        read_log(bag_of(tmp_path / "apart", "mcap", {"/joint_states": apart}), cell)
+
+
+def test_joints_that_are_sent_seldom_do_not_thin_out_the_others(tmp_path: Path) -> None:
+    _, cell = cell_of("rail_panel")
+    time, q = short(cell, 200)
+    topic = [*messages(cell.joint_names[:1], time[::10], q[::10, :1]), *messages(cell.joint_names[1:], time, q[:, 1:])]
+    log = read_log(bag_of(tmp_path, "mcap", {"/joint_states": topic}), cell)
+    assert log.step == pytest.approx(0.004) and len(log.time) > 180
+
+
+def test_commands_of_some_joints_are_no_commands(tmp_path: Path) -> None:
+    _, cell = cell_of("cylinder_logo")
+    time, q = short(cell)
+    topics = {
+        "/joint_states": messages(cell.joint_names, time, q),
+        "/table/joint_command": messages(cell.joint_names[6:], time, q[:, 6:]),
+    }
+    assert read_log(bag_of(tmp_path, "mcap", topics), cell).commanded is None
+    (tmp_path / "more").mkdir()
+    topics["/arm/joint_command"] = messages(cell.joint_names, time, q + 0.01)
+    told = read_log(bag_of(tmp_path / "more", "mcap", topics), cell).commanded
+    np.testing.assert_allclose(told, q + 0.01, atol=1e-12)
+
+
+def test_a_bag_that_is_a_folder_is_measured_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _, cell = cell_of("peer_cap")
+    whole = asked_of("peer_cap", "rapid", joints=(3,), most=30.0)
+    asked = replace(whole, moves=whole.moves[:1] + whole.moves[-7:])
+    recording: Recording = recorded(asked, truth_of(cell))
+    path = bag_of(tmp_path, "mcap", {"/joint_states": messages(cell.joint_names, recording.time, recording.executed)})
+    (tmp_path / "asked.json").write_text(asked_text(asked), encoding="utf-8")
+    given = ["read", str(path), "peer_cap", "--asked", str(tmp_path / "asked.json"), "--out", str(tmp_path / "out")]
+    assert main(given) == EXIT_VERIFIED, capsys.readouterr().err
+    (written,) = (tmp_path / "out").iterdir()
+    assert f"SHA-256 {digest_of(path)[:16]}" in written.read_text(encoding="utf-8")
+    before = digest_of(path)
+    (path / "metadata.yaml").write_text("changed", encoding="utf-8")
+    assert digest_of(path) != before
 
 
 def test_the_package_is_named_where_it_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import InputError
 from planner.base.extras import missing_extra
 from planner.cell.cell import Cell
@@ -22,6 +23,7 @@ JOINT_STATE = ("sensor_msgs/msg/JointState", "sensor_msgs/JointState")
 USUAL = ("/joint_states", "/robot/joint_states")
 COMMANDED = ("command", "target", "desired", "reference", "setpoint", "cmd")  # in the name of a topic
 NANO = 1e-9
+OFTEN = 0.9  # of the messages of the joint that is sent most often
 
 
 @dataclass(frozen=True)
@@ -64,17 +66,30 @@ def read_bag(path: Path, cell: Cell, topic: str | None = None) -> BagTable:
     if not joints:
         there = ", ".join(sorted(executed.places))[:200]
         raise InputError(f"its joints are {there}", file=path, hint=f"this cell's are {', '.join(cell.joint_names)}")
-    # joints of several publishers come in messages of their own: all at the instants of the first joint's
-    base = np.array(executed.stamps[joints[0]], dtype=np.int64)
+    # joints of several publishers come in messages of their own: all at the instants of one that is sent as often as any
+    most = max(len(executed.stamps[name]) for name in joints)
+    leader = next(name for name in joints if len(executed.stamps[name]) >= OFTEN * most)
+    base = np.array(executed.stamps[leader], dtype=np.int64)
+    kept = _in_all(path, base, executed, joints)
+    base, messages = base[kept], np.array(executed.messages[leader], dtype=np.int64)[kept]
     time = NANO * (base - base[0])
     columns = [_at(time, base[0], executed, name) for name in joints]
     names = ["t_s", *(_named(cell, name) for name in joints)]
-    told = [name for name in cell.joint_names if commanded is not None and name in commanded.places]
     if commanded is not None:
-        columns += [_at(time, base[0], commanded, name) for name in told]
-        names += [f"target_{_named(cell, name)}" for name in told]
-    messages = np.array(executed.messages[joints[0]], dtype=np.int64)
+        columns += [_at(time, base[0], commanded, name) for name in cell.joint_names]
+        names += [f"target_{_named(cell, name)}" for name in cell.joint_names]
     return BagTable(tuple(names), messages, np.column_stack([time, *columns]))
+
+
+def _in_all(path: Path, base: Ints, executed: _TopicJoints, joints: Sequence[str]) -> Flags:
+    """Which instants (m) [ns] lie between the first and the last message of every joint. InputError where none does."""
+    stamps = [np.array(executed.stamps[name], dtype=np.int64) for name in joints]
+    slack = int(max(np.median(np.diff(each)) if len(each) > 1 else 0.0 for each in stamps))
+    first, last = max(int(each.min()) for each in stamps), min(int(each.max()) for each in stamps)
+    kept = np.asarray((base >= first - slack) & (base <= last + slack))
+    if not kept.any():
+        raise InputError("its joints were recorded at different times", file=path, hint="a bag in which all joints are")
+    return kept
 
 
 def _named(cell: Cell, name: str) -> str:
@@ -95,6 +110,7 @@ def _at(time: Array, zero: np.int64, joints: _TopicJoints, name: str) -> Array:
 def _topics(path: Path) -> dict[str, _TopicJoints]:
     """Topics of joint states, with all their messages."""
     try:
+        from apsw import Error as StorageError
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.rosbag1 import ReaderError as FirstReaderError
         from rosbags.rosbag2 import ReaderError as SecondReaderError
@@ -102,8 +118,10 @@ def _topics(path: Path) -> dict[str, _TopicJoints]:
         from rosbags.typesys import Stores, TypesysError, get_typestore
     except ImportError as error:
         raise missing_extra(error, "reading a bag of ROS") or error from None
-    wrong = (AnyReaderError, FirstReaderError, SecondReaderError, SerdeError, TypesysError, sqlite3.Error, OSError,
-             ValueError, KeyError, IndexError, EOFError, AssertionError)  # fmt: skip
+    # what packages raise that meet damaged bytes: lengths beyond all memory, names of nothing, a broken database
+    wrong = (AnyReaderError, FirstReaderError, SecondReaderError, SerdeError, TypesysError, StorageError, sqlite3.Error,
+             struct.error, OSError, EOFError, MemoryError, ArithmeticError, LookupError, AssertionError, TypeError,
+             ValueError, AttributeError, RuntimeError)  # fmt: skip
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
             there = {each.topic: each.msgtype for each in reader.connections}
@@ -172,5 +190,7 @@ def _chosen(
                 f"joints are in {', '.join(sorted(most))}", file=path, field="--topic", hint="name one of them"
             )
         executed = usual[0] if usual else most[0]
+    # of several topics of commands the only one that has all joints
     others = [joints for name, joints in told.items() if name != executed]
-    return found[executed], others[0] if len(others) == 1 else None
+    whole = [joints for joints in others if all(name in joints.places for name in cell.joint_names)]
+    return found[executed], whole[0] if len(whole) == 1 else None
