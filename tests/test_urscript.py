@@ -194,7 +194,9 @@ def test_rests_in_a_bead_are_kept() -> None:
     """A cut fibre: the arm stops in the bead, and waits."""
     resting = resting_in_a_bead(arc(dip=False))
     text = urscript(resting)
-    assert re.search(r"move[pc].*r=0.*\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
+    assert re.search(
+        r"move[pc].*r=0.*\)\n    set_standard_digital_out\(1, False\)\n    # cut, bead 0\n    sleep\(0.500\)", text
+    )
     assert differences(resting, {NAME: text}) == []
     assert differences(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
 

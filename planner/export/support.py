@@ -164,7 +164,7 @@ def unsupported_in_axes(setup: Setup) -> str | None:
         return f"{spec.filament} pushes filament, and moves the part"
     fibre = setup.problem.process.fibre
     orders = [f"T{each.tool}" for each in materials_of(setup.problem)]
-    orders += [line for line in fibre.code if line.startswith("M")] if fibre is not None else []
+    orders += [each for each in fibre.commands if each.startswith("M")] if fibre is not None else []
     for line in orders:
         if FLAVOURS[spec.flavour].order(line) is None:
             return (
