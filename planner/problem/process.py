@@ -316,6 +316,11 @@ class FibreSpec(Section):
     least_laid: Annotated[float, Quantity("mm", 1, 500)] = key(
         "least_laid_mm", "least length laid before the cut, whose adhesion holds the fibre [mm]", 5
     )
+    least_radius: Annotated[float, Quantity("mm", 0.1, 10_000)] | None = key(
+        "least_radius_mm",
+        "least radius to which the fibre may be steered on the surface (of its geodesic curvature) [mm]; default: any",
+        None,
+    )
     cut_code: CutCode | None = key(
         "cut_code",
         "G-code of the cut: outputs and servos, and pauses (G4 P, milliseconds) no longer than cut_wait_s in all; with "

@@ -49,6 +49,7 @@ EXAMPLES: dict[str, str] = {
     "faces": "[top, 4]",
     "fan": "{speed: 0.5}",
     "heat_wait_s": "60",
+    "least_radius_mm": "30",
     "fibre": "{cut_length_mm: 45, cut_wait_s: 3}",
     "order": "['*wall*', '*']",
     "seam": "{towards: [0, 1, 0]}",
