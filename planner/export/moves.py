@@ -417,7 +417,9 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     t, program = plan.trajectory, plan.problem.program
     fed = np.zeros(len(t)) if fed is None else fed
     amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
-    others = [1.0, TIME_TOLERANCE, program.tangent, amount, program.longest]
+    # the nozzle may be as far along its path from where it is to be as beside it: on a long chord it is that far of itself
+    time = max(TIME_TOLERANCE, program.chord / float(plan.commanded.max()))
+    others = [1.0, time, program.tangent, amount, program.longest]
     turns = plan.cell.limits.turns[list(plan.cell.besides)]
     pose = np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]])
     return SampledWay(
