@@ -378,7 +378,7 @@ def test_a_program_that_says_something_else_is_found(
     [
         ("movep(", "servoj(", "unknown statement"),
         ("v=0.0447", "v=nan", "unknown statement"),
-        ("v=0.0447", "v=0.0000", "must be positive"),
+        ("v=0.04472", "v=0.00000", "must be positive"),
         ("bead_0002()\n", "bead_0009()\n", "bead_0009 is no function"),
         ("def bead_0002", "def bead_0001", "twice"),
         ("  def bead_0001", "  def inner():\n  def bead_0001", "in another one"),

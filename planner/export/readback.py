@@ -342,7 +342,8 @@ def _late(plan: Plan, match: _Match) -> float:
     clock, tip = moving_time(trajectory), trajectory.tip
     took = match.ways.length / np.where(match.all.speed[:-1] > 0.0, match.all.speed[:-1], np.inf)
     run = np.concatenate([[0.0], np.cumsum(took)])
-    first = match.targets[match.piece]
+    # pieces are travel and beads in turn; what is laid behind a cut is a travel's, and counts from its bead's beginning
+    first = match.targets[np.maximum(match.piece - (match.piece % 2 == 0), 0)]
     programmed = run - run[first]
     planned = clock[at] - clock[at[first]]
     steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
@@ -494,7 +495,7 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
     """Worst difference of tool, work object and first posture: position [m], orientation [rad]."""
     cell = plan.cell
     identity = np.eye(4)
-    moving = cell.holder_robot is not None
+    moving = cell.station is not None
     far, turned = [], []
     for written, T in (
         (program.tool, cell.T_flange_nozzle),

@@ -150,7 +150,7 @@ def frames(plan: Plan) -> list[str]:
             comment("  " + pose_text(cell.T_world_base)),
             comment(f"Its axes: {', '.join(before)}."),
         ]
-    if cell.holder_robot is None:
+    if cell.station is None:
         frames = f'TRUE,"",{pose_text(cell.T_world_holder)},{identity}'
     else:
         axes = letters[len(before) :]
@@ -161,7 +161,7 @@ def frames(plan: Plan) -> list[str]:
             *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
             comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
         ]
-        if cell.holder_robot.inverse is not None:
+        if cell.station.inverse is not None:
             lines += [comment(text) for text in SECOND_ARM]
         # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
         frames = f'FALSE,"{names.station}",{identity},{on_plate}'
@@ -573,7 +573,7 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
     names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
     joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
     external = external_text(external_written(cell, start[:, cell.besides]))[0]
-    station = [] if cell.holder_robot is None else [names.station]
+    station = [] if cell.station is None else [names.station]
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]
