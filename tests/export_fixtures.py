@@ -400,10 +400,12 @@ if __name__ == "__main__":  # after a change that is meant: write the golden fil
 
 
 def resting_in_a_bead(plan: Plan) -> Plan:
-    """The plan with half a second of rest in its first bead, for a cut."""
+    """The plan with half a second of rest in its first bead, for a cut: nothing is fed behind it."""
     t = plan.trajectory
     k = int(np.flatnonzero(t.deposit)[40])
     rows = np.concatenate([np.arange(k), np.full(126, k), np.arange(k, len(t))])
     held = {name: value[rows] for name, value in vars(t).items() if isinstance(value, np.ndarray)}
+    drawn = np.clip(held["feed"], t.feed[k], t.feed[np.flatnonzero(t.bead == 0)[-1] + 1]) - t.feed[k]
+    held["feed"] = held["feed"] - drawn
     cut = (Event("cut", 0, k * t.dt, 0.5, 0.0),)
     return replace(plan, trajectory=replace(t, **held | {"t": np.arange(len(rows)) * t.dt, "events": cut}))

@@ -282,11 +282,11 @@ def test_rests_in_a_bead_are_kept(language: str) -> None:
     plan = resting_in_a_bead(arc(dip=False))
     files = module(language).write(plan)
     pattern = {
-        "fanuc": r"FINE ;\n *\d+:  !cut, bead 0 ;\n *\d+:  WAIT   0.50\(sec\) ;",
-        "inform": r"PL=0\n' cut, bead 0\nTIMER T=0.50\n",
-        "val3": r"\n  // cut, bead 0\n  waitEndMove\(\)\n  delay\(0.500\)\n",
-        "kawasaki": r"  BREAK\n  ; cut, bead 0\n  TWAIT 0.500\n",
-        "melfa": r" Cnt 0\n\d+ ' cut, bead 0\n\d+ Dly 0.500\n",
+        "fanuc": r"FINE DB    0.0mm,DO\[1\]=OFF ;\n *\d+:  !cut, bead 0 ;\n *\d+:  WAIT   0.50\(sec\) ;",
+        "inform": r"PL=0\nDOUT OT#\(1\) OFF\n' cut, bead 0\nTIMER T=0.50\n",
+        "val3": r"  nAt\[\d+\]=move[lc]\(.*\)\n  // cut, bead 0\n  waitEndMove\(\)\n  delay\(0.500\)\n",
+        "kawasaki": r"  BREAK\n  SIGNAL -1\n  ; cut, bead 0\n  TWAIT 0.500\n",
+        "melfa": r" Cnt 0\n\d+ M_Out\(1\)=0\n\d+ ' cut, bead 0\n\d+ Dly 0.500\n",
     }[language]
     name = next(name for name, text in files.items() if re.search(pattern, text))
     assert differences(language, files, plan) == []

@@ -67,9 +67,12 @@ def test_fibre_is_cut_by_the_published_macro_in_the_wait_that_is_planned() -> No
     for event in cuts:
         i = lines.index(f"; cut, bead {event.bead}")
         assert lines[i + 1 : i + 5] == CUT
-        assert said[i][0] == pytest.approx(event.start, abs=plan.trajectory.dt + 2e-3)
+        begins = event.start + 0.5 * (event.duration - 1.0)
+        assert said[i][0] == pytest.approx(begins, abs=plan.trajectory.dt + 2e-3), "the cutter's second in the middle"
+        moved = max(at for at, line in said[:i] if line.startswith(("G1", "G4")))
+        assert moved <= event.start + plan.trajectory.dt + 2e-3
         moves = next((at for at, line in said[i:] if line.startswith("G1")), plan.trajectory.t[-1])
-        assert moves - said[i][0] >= event.duration - 2e-3, "no fibre moves while it is cut"
+        assert moves - event.start >= event.duration - 2e-3, "no fibre moves while it is cut"
     # gcodeparser, which is somebody else's, sums up the same filament
     parsed = [each for each in parse_gcode_lines(text) if each.command == ("G", 1)]
     assert sum(each.params["E"] for each in parsed) == pytest.approx(plan.trajectory.feed[-1] * 1e3, abs=1e-3)
@@ -88,6 +91,11 @@ def test_a_short_wait_shortens_the_pauses_and_own_code_is_said_as_it_stands() ->
     [
         ("process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [G4 P1001]}", "take 1.001 s, and cut_wait_s is 1"),
         ("process.fibre={cut_length_mm: 9, cut_code: [G1 E5]}", "'G1 E5' cannot stand here"),
+        ("process.fibre={cut_length_mm: 9, cut_code: [M106 P0 S1 G1 E5]}", "'M106 P0 S1 G1 E5' cannot stand here"),
+        (
+            "process.fibre={cut_length_mm: 9, cut_wait_s: 1, cut_code: [M106 P0 S1 G4 P700 M106 P0 S0 G4 P400]}",
+            "take 1.1 s, and cut_wait_s is 1",
+        ),
         ("process.fibre={cut_length_mm: 9, cut_code: [M112]}", "'M112' cannot stand here"),
         ("process.fibre={cut_length_mm: 9, cut_code: []}", "must be 1 to 20 lines, not 0"),
         ("process.start={heat: wait}", "heat is wait, and there is no temperature"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 from solved import promises_kept, solve_alone
 
 from planner.base.errors import InputError
-from planner.export.moves import plan_moves
+from planner.export import extruder
+from planner.export.extruder import gcode
+from planner.export.languages import LANGUAGES
+from planner.export.moves import cuts, plan_moves, samples_of_rest
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.export.readback import compare
@@ -22,7 +26,11 @@ Array = NDArray[np.float64]
 
 FIBRES = ("fibre_plane", "fibre_bowl", "fibre_corrugated")
 MOST_LEAN, MOST_OFF = 0.1, 0.05  # deg, mm: what the true surface may be missed by
-PUBLISHED = ("program.chord_mm=1", "program.tangent_deg=45")  # Tawfik et al., section III.A.1
+PUBLISHED = (
+    "program.chord_mm=1",
+    "program.tangent_deg=45",
+    "program.longest_mm=1000",
+)  # Tawfik et al., section III.A.1
 
 
 @cache
@@ -88,6 +96,17 @@ def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str
     assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
+def test_no_length_hides_what_chord_and_angle_allow() -> None:
+    """Where the curve is nearly straight, segments are longer than the usual cap, unless they are to be shorter."""
+    free, usual, short = (
+        chords(divided("fibre_plane", *PUBLISHED[:2], f"program.longest_mm={longest}"))[0] for longest in (1000, 25, 10)
+    )
+    assert free.max() > 25.5e-3 >= usual.max() > 20e-3
+    assert short.max() <= 10e-3 and len(short) > 1.3 * len(free)
+    tight = chords(divided("fibre_plane", *PUBLISHED, "program.tangent_deg=4"))[2]
+    assert np.degrees(tight).max() <= 4.0 and len(tight) > 1.5 * len(free)
+
+
 @pytest.mark.slow
 def test_a_looser_program_has_fewer_lines_and_a_tighter_one_more() -> None:
     count = {chord: len(segments(divided("fibre_plane", f"program.chord_mm={chord}"))[0]) for chord in (0.01, 0.1, 1)}
@@ -114,9 +133,89 @@ def test_lines_are_shorter_where_the_curve_is_tighter() -> None:
     assert sizes[wide].mean() > 1.5 * sizes[tight].mean()
 
 
+def cut_places(plan: Plan) -> Array:
+    """Where (b, 3) the nozzle rests in each bead [m]."""
+    t = plan.trajectory
+    return t.tip[[samples_of_rest(t, event)[0] for event in cuts(t)]]
+
+
+def test_the_program_is_the_papers() -> None:
+    """Figure 7 of Tawfik et al.: a line for each straight segment, and the cutter's between two waits of a second."""
+    plan = divided("fibre_plane")
+    text = rapid(plan)
+    cut = r"WaitTime 1\.000;\n +BwLine \d+,\"M106 P0 S1 G4 P500 M106 P0 S0 G4 P500\";\n +WaitTime 1\.000;\n +BwSettle 900;\n +WaitTime 1\.000;"
+    assert len(re.findall(cut, text)) == len(plan.beads)
+    program, laid = read_rapid(text), plan_moves(plan).laid
+    assert not re.search(r"MoveC|TriggC", text) and set(re.findall(r",(z\d+|fine),", text)) == {"z0", "fine"}
+    # each segment until the cut has a line of its own, sent before the robot sets out on it
+    fed = [move for move, texts in program.sends.items() if any(each.startswith("G1 E") for each in texts)]
+    before = sum(len(plan.beads[k].points) > 0 for k in range(len(plan.beads)))
+    assert len(fed) >= np.count_nonzero(laid) // 2 + before
+    assert '"M109 S280";\n        BwSettle 900;' in text
+
+
+@pytest.mark.parametrize("style", ["output", "socket"])
+def test_the_output_falls_at_the_cut_and_stays_low_behind_it(style: str) -> None:
+    plan = divided("fibre_plane", f"program.style={style}")
+    files = LANGUAGES["rapid"].write(plan)
+    assert LANGUAGES["rapid"].differences(plan, files) == []
+    program = read_rapid(files["FibrePlane.mod"])
+    switched = [(move, each.value) for move, group in sorted(program.triggers.items()) for each in group]
+    assert [value for _, value in switched] == [True, False] * len(plan.beads)
+    off = [move for move, value in switched if not value]
+    assert np.linalg.norm(program.position[off] - cut_places(plan), axis=1).max() < 2e-6
+    assert program.fine[off].all() and program.wait[off] == pytest.approx(3.0)
+    # one that goes on until the bead's end is found
+    longer = files["FibrePlane.mod"].replace(",trgOff,", ",").replace("TriggL", "MoveL", 0)
+    spoilt = re.sub(r"TriggL (\[\[[^\n]*\d\]\],vel[^,]*),(fine,)", r"MoveL \1,\2", longer)
+    assert LANGUAGES["rapid"].differences(plan, files | {"FibrePlane.mod": spoilt}) != []
+
+
+def test_no_line_feeds_behind_the_cut() -> None:
+    plan = divided("fibre_plane")
+    files = LANGUAGES["rapid"].write(plan)
+    program, t = read_rapid(files["FibrePlane.mod"]), plan.trajectory
+    texts = [text for move in sorted(program.sends) for text in program.sends[move]]
+    prime, cut = "G1 E45.00000 F1500.000", "M106 P0 S1 G4 P500 M106 P0 S0 G4 P500"
+    fed, behind, amounts = 0.0, False, []
+    for text in texts:
+        if text == prime:
+            fed, behind = 0.0, False
+        elif text == cut:
+            amounts.append(fed)
+            behind = True
+        elif text.startswith("G1"):
+            assert not behind, text
+            fed += float(text.split(" ")[1][1:])
+    assert amounts == pytest.approx([1e3 * bead.length - 45.0 for bead in plan.beads], abs=0.02 + 1e3 * 0.005 * t.dt)
+    # a segment's line behind the cut, in place of one before it
+    number = int(re.search(rf'BwLine (\d+),"{cut}"', files["FibrePlane.mod"])[1])
+    last = re.search(rf'BwLine {number - 1},"(.*)"', files["FibrePlane.mod"])[1]
+    spoilt = files["FibrePlane.mod"].replace(f'{number - 1},"{last}"', f'{number - 1},"{cut}"', 1)
+    spoilt = spoilt.replace(f'{number},"{cut}"', f'{number},"{last}"', 1)
+    assert LANGUAGES["rapid"].differences(plan, files | {"FibrePlane.mod": spoilt}) != []
+
+
+@pytest.mark.parametrize("sync", ["signal", "free"])
+@pytest.mark.parametrize("firmware", ["reprap", "marlin"])
+def test_the_board_cuts_where_the_output_has_gone_off_and_feeds_nothing_more(firmware: str, sync: str) -> None:
+    own = () if firmware == "reprap" else ("process.fibre.cut_code=[M106 P0 S1, G4 P500, M106 P0 S0, G4 P500]",)
+    plan = divided("fibre_plane", f"program.board={{firmware: {firmware}, sync: {sync}}}", *own)
+    text = gcode(plan)
+    assert extruder.differences(plan, {extruder.FILE: text}) == []
+    for piece in text.split("; prime, bead ")[1:]:
+        before, behind = piece.split("; cut, bead ")
+        assert "G1 E" in before and "G1" not in behind
+        if sync == "signal":
+            assert re.search(r"M(577|226) P1 S0\nG4 P\d+\n$", before), "it waits for the robot, and another second"
+            assert int(before.split("G4 P")[-1]) == pytest.approx(1000, abs=5)
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
+        ("longest_mm=0", "too small"),
+        ("largest_zone=z2", "z0, z1, z5"),
         ("chord_mm=0", "too small"),
         ("chord_mm=2", "0.005 to 1"),
         ("tangent_deg=60", "0.5 to 45"),
@@ -127,3 +226,9 @@ def test_settings_of_the_program_are_checked(change: str, words: str) -> None:
     with pytest.raises(InputError, match="program") as caught:
         load_problem("fibre_plane", (f"program.{change}",))
     assert words in str(caught.value)
+
+
+def test_a_board_that_takes_one_command_a_line_is_not_told_several() -> None:
+    with pytest.raises(InputError, match=r"process\.fibre\.cut_code: marlin takes one command a line") as caught:
+        load_problem("fibre_plane", ("program.board={firmware: marlin}",))
+    assert "[M106 P0 S1, G4 P500, M106 P0 S0, G4 P500]" in str(caught.value)

@@ -235,7 +235,7 @@ def test_lines_that_the_arm_cannot_keep_up_with_are_found() -> None:
 def test_rests_in_a_bead_are_kept() -> None:
     resting = resting_in_a_bead(wave(dip=False))
     files = write(resting)
-    assert re.search(r"(LIN|CIRC) \{.*\}\n  ; cut, bead 0\n  WAIT SEC 0.500", files[SOURCE])
+    assert re.search(r"DO \$OUT\[1\]=FALSE\n  (LIN|CIRC) \{.*\}\n  ; cut, bead 0\n  WAIT SEC 0.500", files[SOURCE])
     assert differences(resting, files) == []
 
 

@@ -153,7 +153,11 @@ def problem(curves: str, *more: str) -> Problem:
         ("[{points_mm: [[0, 0], [9, 9], [0, 9]]}]", "degree", "is missing"),
         ("[{degree: 2, points_mm: 5}]", "points_mm", "list of points"),
         ("[{degree: 2, points_mm: [1, 2, 3]}]", "points_mm", "list of points"),
-        ("[{degree: 2, points_mm: [[0, 0], [1, 2, 3], [3, 4]]}]", "points_mm", "2 numbers, not of 3"),
+        (
+            "[{degree: 2, points_mm: [[0, 0], [1, 2, 3], [3, 4]]}]",
+            "points_mm",
+            "point 2 has 3 numbers, and point 1 has 2",
+        ),
         ("[{degree: 2, points_mm: [[0, 0], [.nan, 2], [3, 4]]}]", "points_mm", "finite"),
         ("[{degree: 2, points_mm: [[0, 0], [1, 1]]}]", "points_mm", "at least 3 control points, not 2"),
         ("[{degree: 0, points_mm: [[0, 0], [1, 1]]}]", "degree", "too small"),

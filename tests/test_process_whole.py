@@ -212,8 +212,8 @@ def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> N
         (at,) = (int(i) for i in near if program.fine[i])
         assert program.linear[at]
         assert program.wait[at] == pytest.approx(wait)
-        # signal of the extruder: on from the start of the bead to its end, whatever is cut on the way
-        assert at not in program.triggers
+        # signal of the extruder: on from the start of the bead to its cut, behind which fibre is drawn
+        assert [each.value for each in program.triggers[at]] == [False]
 
 
 @pytest.mark.slow(cases=("slow prime*",))
@@ -225,7 +225,7 @@ def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> N
         ("fibre", r"WaitTime 2\.500;", "WaitTime 2.400;"),
         ("fibre", r" *WaitTime 2\.500;\n", ""),
         ("fibre", r"fine(,tNozzle[^\n]*\n *! cut, bead 1)", r"z0\1"),
-        ("fibre", r"MoveL([^\n]*\n *! cut, bead 1)", r"MoveJ\1"),
+        ("fibre", r"TriggL([^\n]*),trgOff,(fine[^\n]*\n *! cut, bead 1)", r"MoveJ\1,\2"),
         ("fibre without a wait", r"fine(,tNozzle[^\n]*\n *! cut, bead 1)", r"z0\1"),
         ("slow prime and retract", r"WaitTime 11\.(\d)", r"WaitTime 12.\1"),
     ],

@@ -69,7 +69,9 @@ def test_reader_says_what_is_sent_where_and_when():
     # whatever the board acknowledges late is waited for before anything else is sent
     text = rapid_files(plan)["OneBead.mod"]
     assert '        BwLine 6,"M109 S200";\n        WaitTime 4.000;\n        BwSettle 900;\n' in text
-    assert re.search(r' {8}BwLine \d+,"G4 P500";\n {8}WaitTime 2\.000;\n {8}BwSettle 900;\n', text)
+    assert re.search(
+        r' {8}BwLine \d+,"G4 P500";\n {8}WaitTime 1\.000;\n {8}BwSettle 900;\n {8}WaitTime 1\.000;\n', text
+    )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -62,6 +62,7 @@ process:
 """
 LAYERS = "count: 2, height_mm: 0.5"
 CURVES = "curves: [{degree: 2, points_mm: [[-15, -8], [-4, 12], [5, -12], [15, 9]], weights: [1, 0.8, 1.5, 1]}]"
+SPACE = "curves: [{degree: 2, points_mm: [[-15, -8, 28], [-4, 12, 36], [5, -12, 30], [15, 9, 38]]}]"
 PRINTS = {
     "wrapped": f"part: {{cylinder: {{radius_mm: 30, height_mm: 60, centre_mm: [3, -4]}}}}\n"
     f"layers: {{source: {{svg: small.svg, width_mm: 38}}, wrap: cylinder, {LAYERS}}}\n",
@@ -72,6 +73,11 @@ PRINTS = {
     "bowl": f"part: {{ellipsoid: {{radii_mm: [40, 55, 30]}}}}\nlayers: {{source: {{{CURVES}}}, project: z, {LAYERS}}}\n",
     "waves": "part: {corrugation: {amplitude_mm: 2, wavelength_mm: 40, size_mm: [70, 70], direction_deg: 20}}\n"
     f"layers: {{source: {{{CURVES}}}, project: z, {LAYERS}}}\n",
+    "space": f"part: {{ellipsoid: {{radii_mm: [40, 55, 30]}}}}\nlayers: {{source: {{{SPACE}}}, project: z, {LAYERS}}}\n",
+    "normals": f"part: {{ellipsoid: {{radii_mm: [40, 55, 30]}}}}\n"
+    f"layers: {{source: {{{SPACE}}}, project: normal, centre_mm: [2, 1], turn_deg: 15, {LAYERS}}}\n",
+    "direction": "part: {corrugation: {amplitude_mm: 2, wavelength_mm: 40, size_mm: [90, 90]}}\n"
+    f"layers: {{source: {{nurbs: curves.json}}, project: direction, direction: [0.4, -0.2, -1], {LAYERS}}}\n",
     "pattern": f"part: {{sphere: {{radius_mm: 40}}}}\n"
     f"layers: {{source: {{pattern: honeycomb, cell_mm: 8, size_mm: [40, 40]}}, project: z, {LAYERS}}}\n",
     "mesh": f"part: {{mesh: {{file: block.stl, rpy_deg: [90, 0, 0], origin_mm: [2, 0, 5]}}}}\n"
@@ -98,6 +104,10 @@ def _folder() -> Path:
 
     folder = Path(tempfile.mkdtemp(prefix="reread"))
     (folder / "small.svg").write_text(SVG)
+    (folder / "curves.json").write_text(
+        '{"curves": [\n\t{"degree": 2, "points_mm": [[-25, -8, 12], [-4, 12, 3], [5, -12, 8], [15, 9, 15]],\n'
+        '\t "weights": [1, 0.8, 1.5, 1]},\n\t{"degree": 1, "points_mm": [[-10, 20, 5], [20, 25, 9]]}]}'
+    )
     (folder / "small.gcode").write_text(GCODE + "\n")
     trimesh.creation.box((60.0, 10.0, 60.0)).export(folder / "block.stl")  # y up in the file
     a = np.linspace(0.0, 5.0, 200)
@@ -186,6 +196,20 @@ def test_a_print_turned_by_five_degrees(name: str) -> None:
         for bead in toolpath.beads
     ]
     assert failed(found(problem, toolpath, beads, print_body(toolpath))) & {DRAWN, LEFT, PART}
+
+
+@pytest.mark.parametrize(("name", "other"), [("normals", "space"), ("space", "normals"), ("direction", "straight")])
+def test_curves_that_fall_another_way_than_asked(name: str, other: str) -> None:
+    problem, _ = print_of(name)
+    path = _folder() / f"{other}_of_{name}.yaml"
+    falls = "project: z" if name != "space" else "project: normal"
+    was = {
+        "normals": "project: normal",
+        "space": "project: z",
+        "direction": "project: direction, direction: [0.4, -0.2, -1]",
+    }
+    path.write_text(BASE + PRINTS[name].replace(was[name], falls))
+    assert DRAWN in failed(found(problem, build_toolpath(load_problem(path))))
 
 
 def test_a_wrapped_drawing_turned_mirrored_or_of_another_size() -> None:
@@ -308,7 +332,7 @@ def test_nurbs_curves_are_those_of_scipy(data: st.DataObject, degree: int) -> No
     points = data.draw(st.lists(place, min_size=count, max_size=count))
     weights = data.draw(st.lists(st.floats(0.2, 5.0), min_size=count, max_size=count))
     spec = CurveSpec.model_validate({"degree": degree, "points_mm": tuple(points), "weights": tuple(weights)})
-    curve, line = NurbsCurve.of(spec), _nurbs(spec)
+    curve, line = NurbsCurve.of(spec), _nurbs(spec.degree, np.array(spec.points), spec.weights, spec.knots)
     spans = len(curve.knots) - 1
     u = np.concatenate(
         [np.linspace(a, b, len(line) // spans) for a, b in zip(curve.knots, curve.knots[1:], strict=False)]

@@ -85,6 +85,16 @@ def test_waits_are_acknowledged_when_they_are_over() -> None:
     assert b.record.fans == {0: 1.0}
 
 
+def test_several_commands_in_a_line_are_done_in_turn_and_acknowledged_once() -> None:
+    b = board()
+    assert texts(b.receive(framed(1, "M106 P0 S1 G4 P500 M106 P0 S0 G4 P500") + framed(2, "M104 S20"), 0.0)) == []
+    b.advance(0.25)
+    assert b.record.fans == {0: 1.0}
+    assert texts(b.advance(0.999)) == [] and b.record.fans == {0: 0.0}
+    assert texts(b.advance(1.0)) == ["ok N1", "ok N2"]
+    assert [text for _, text in b.record.accepted] == ["M106 P0 S1 G4 P500 M106 P0 S0 G4 P500", "M104 S20"]
+
+
 def test_heating_takes_as_long_as_the_curve_says() -> None:
     b = board()
     b.receive(framed(1, "M109 S200"), 0.0)

@@ -194,7 +194,9 @@ def test_rests_in_a_bead_are_kept() -> None:
     """A cut fibre: the arm stops in the bead, and waits."""
     resting = resting_in_a_bead(arc(dip=False))
     text = urscript(resting)
-    assert re.search(r"move[pc].*r=0.*\)\n    # cut, bead 0\n    sleep\(0.500\)", text)
+    assert re.search(
+        r"move[pc].*r=0.*\)\n    set_standard_digital_out\(1, False\)\n    # cut, bead 0\n    sleep\(0.500\)", text
+    )
     assert differences(resting, {NAME: text}) == []
     assert differences(resting, {NAME: text.replace("sleep(0.500)", "sleep(0.400)")}) != []
 
@@ -376,7 +378,7 @@ def test_a_program_that_says_something_else_is_found(
     [
         ("movep(", "servoj(", "unknown statement"),
         ("v=0.0447", "v=nan", "unknown statement"),
-        ("v=0.0447", "v=0.0000", "must be positive"),
+        ("v=0.04472", "v=0.00000", "must be positive"),
         ("bead_0002()\n", "bead_0009()\n", "bead_0009 is no function"),
         ("def bead_0002", "def bead_0001", "twice"),
         ("  def bead_0001", "  def inner():\n  def bead_0001", "in another one"),

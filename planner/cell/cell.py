@@ -117,6 +117,12 @@ class Cell:
         return slice(self.rails, len(self.arm))
 
     @property
+    def station(self) -> Robot | None:
+        """What programs count as external axes that hold the part: a second arm is none where all of its joints are held."""
+        robot = self.holder_robot
+        return None if robot is not None and robot.inverse is not None and not len(self.holder) else robot
+
+    @property
     def besides(self) -> tuple[int, ...]:
         """All other joints (indices), which a controller counts as external axes: what carries the arm, the holder's."""
         na = len(self.arm)

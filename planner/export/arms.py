@@ -94,7 +94,7 @@ def percent(plan: Plan, moves: Moves) -> list[int]:
     """Speed of axes (m) [percent of their greatest] for each move, the plan's greatest until the next stop."""
     t = plan.trajectory
     limits = [plan.cell.arm_robot.model.velocityLimit]
-    if (station := plan.cell.holder_robot) is not None:
+    if (station := plan.cell.station) is not None:
         free = [station.joint_names.index(name) for name in plan.cell.holder.names]
         limits.append(station.model.velocityLimit[free])
     share = (np.abs(np.diff(t.q, axis=0)) / t.dt / np.concatenate(limits)).max(axis=1)

@@ -37,9 +37,9 @@ def carrying_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
 
 def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
     """All external axes, in the controller's order."""
-    if cell.holder_robot is None:
+    if cell.station is None:
         return carrying_axes(cell)
-    own, slides = cell.holder_robot.joint_names, cell.holder_robot.slides
+    own, slides = cell.station.joint_names, cell.station.slides
     names = [f"positioner_{name}" if name in cell.arm.names else name for name in own]  # as `Cell.joint_names` has them
     return (*carrying_axes(cell), *map(ExternalAxis, names, map(cell.held.get, own), slides))
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.base.gcode_lines import PAUSE, commands_in, time_of
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
 from planner.export.in_step import NEAR, Stretch, early, fed_within, laid_filament, stretches
@@ -20,15 +21,13 @@ from planner.plan.plan import materials_of, used
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
-    from planner.problem.process import FanSpec
+    from planner.problem.process import FanSpec, FibreSpec
     from planner.problem.settings import BoardSpec
 
 # ----------------------------------------------------------------------------------------------------
 # Orders to the board besides moving filament: heating, tools, fan and cutter.
 
-PAUSE = "G4 P"  # and milliseconds
 FULL = 255  # of S in M106
-FAN = ("M106 ", "M107 ")
 AHEAD = 3.0  # samples by which the fan is switched before filament moves: never behind a command that has begun
 
 
@@ -43,13 +42,12 @@ class Order:
 
     @property
     def due(self) -> tuple[tuple[float, str], ...]:
-        """Its lines but for pauses and comments, each with its own instant [s]."""
+        """Its commands but for pauses and comments, each with its own instant [s]."""
         found, now = [], self.start
-        for line in self.lines:
-            if line.startswith(PAUSE):
-                now += int(line[len(PAUSE) :]) * 1e-3
-            elif not line.startswith(";"):
-                found.append((now, line))
+        for command in (each for line in self.lines if not line.startswith(";") for each in commands_in(line)):
+            if not command.startswith(PAUSE):
+                found.append((now, command))
+            now += time_of([command])
         return tuple(found)
 
 
@@ -72,11 +70,16 @@ def _of_event(plan: Plan, event: Event, firmware: str) -> Order:
     if event.kind == "heat":
         return Order(event.start, event.words, _heating(plan, firmware))
     if event.kind == "cut" and process.fibre is not None:
-        return Order(event.start, event.words, process.fibre.code, process.fibre.code_time)
+        return Order(cutter_starts(event, process.fibre), event.words, process.fibre.code, process.fibre.code_time)
     named = materials_of(plan.problem)
     now = [each.tool for each in named if event.kind in SELECTING and each.name == event.material]
     tools = tuple(select(firmware, tool) for tool in now)
     return Order(event.start, event.words, tools)
+
+
+def cutter_starts(cut: Event, fibre: FibreSpec) -> float:
+    """When [s] the cutter moves in a rest: as long before its end as after its beginning, as published."""
+    return cut.start + 0.5 * (cut.duration - fibre.code_time)
 
 
 def _heating(plan: Plan, firmware: str) -> tuple[str, ...]:
@@ -96,6 +99,12 @@ def _heating(plan: Plan, firmware: str) -> tuple[str, ...]:
             lines.append(f"M109 S{start.nozzle_c:g}")
         lines.append("; all is hot: the robot's program starts now")
     return tuple(lines)
+
+
+def _is_fan(plan: Plan, line: str) -> bool:
+    """Whether a line switches the fan, and not a cutter."""
+    fan = plan.problem.process.fan
+    return fan is not None and line.startswith(f"M106 P{fan.number} ")
 
 
 def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
@@ -175,9 +184,7 @@ def gcode(plan: Plan) -> str:
         notes = [f"; it waits for the robot at both ends of each bead: {wired} ({FIRMWARES[board.firmware].wired})"]
         notes.append("; start it first, then the robot's program")
         if plan.problem.process.fibre is not None:
-            notes.append(
-                "; fibre is cut by the board's clock since its bead began: style socket ties cuts to their places"
-            )
+            notes.append("; the output goes off where fibre is cut: the robot rests there, and draws the rest")
     name = re.sub(r"[^\x20-\x7e]", "?", plan.name)
     size = f"{len(plan.beads)} beads in {plan.layers} layers"
     total = (t.feed[-1] - t.feed[0]) * 1e3
@@ -354,7 +361,7 @@ def _is_within(part: Part, stretch: Stretch, dt: float) -> bool:
 
 def _earlier(plan: Plan, part: Part, since: float) -> Part:
     """A prime, or the fan, a little earlier: the board is to be ready when the robot comes."""
-    if part.kind != "prime" and not any(line.startswith(FAN) for line in part.lines):
+    if part.kind != "prime" and not any(_is_fan(plan, line) for line in part.lines):
         return part
     by = early(plan.trajectory, part.start, since)
     return part._replace(start=part.start - by, end=part.end - by)
@@ -462,6 +469,7 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
 AMOUNT = 1e-5  # m of filament that a tool may get too much or too little, in all
 LATE = 2e-3  # s, and a sample: by which an order may stand behind or before its instant
 RAMPS = 0.02  # s by which a bead may end late on a board whose ramps take longer than a line may
+_COMMAND = r"M(?:42|104|106|107|140|280)(?: [A-FH-LO-Z]-?[\d.]+)*"
 GRAMMAR = Grammar.of(
     "G-code",
     ";",
@@ -473,7 +481,7 @@ GRAMMAR = Grammar.of(
         "repeat": r"while sensors\.gpIn\[(\d{1,3})\]\.value == 1 && iterations < (\d{1,6})",
         "done": DONE,
         "wait": r"M116|M1(?:09|90)(?: T\d+)? S[\d.]+",
-        "order": r"M(?:42|104|106|107|140|280)(?: [A-Z]-?[\d.]+)*",
+        "order": rf"{_COMMAND}(?: {_COMMAND}| {PAUSE}\d+)*",
         "begin": "|".join(line for firmware in FIRMWARES.values() for line in map(re.escape, firmware.begin)),
         "mode": r"M83",
     },
@@ -568,7 +576,10 @@ class _Reading:
         elif word == "wait" and self.now > 0.0:
             raise statement.error(f"{statement.text!r} would lose the robot, which waits by time")
         elif word in ("wait", "order"):
-            self.ordered.append((self.now, statement.text))
+            for command in commands_in(statement.text):
+                if not command.startswith(PAUSE):
+                    self.ordered.append((self.now, command))
+                self.now += time_of([command])
         elif word == "tool":
             self._tool = int(parts[0] or parts[1] or 0)
             self.selections.append((self.now, self._tool))
@@ -686,7 +697,7 @@ def _planned_orders(plan: Plan) -> list[tuple[float, str]]:
 
 def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float]) -> float:
     """By how much [s] the fan is switched earlier, so that the board is ready when the robot comes."""
-    if not line.startswith(FAN) or not signals or due > signals[-1]:
+    if not _is_fan(plan, line) or not signals or due > signals[-1]:
         return 0.0
     k = int(np.searchsorted(signals, due, side="right"))
     return early(plan.trajectory, due, signals[k - 1] if k else 0.0) if k % 2 == 0 else 0.0

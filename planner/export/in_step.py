@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.export.moves import deposits
+from planner.export.moves import fed_spans
 from planner.export.support import by_bead
 from planner.plan.plan import materials_of
 
@@ -42,7 +42,7 @@ def stretches(plan: Plan) -> tuple[Stretch, ...]:
     signals = [each.signal for each in materials_of(plan.problem)] or [program.extruder_signal]
     own = by_bead(plan, signals)
     found: list[Stretch] = []
-    for a, b in zip(*(ends.tolist() for ends in deposits(t)), strict=True):
+    for a, b in zip(*(ends.tolist() for ends in fed_spans(t)), strict=True):
         signal = own[int(t.bead[a])]
         on, off = float(t.t[a] - t.t[0]), float(t.t[b] - t.t[0])
         if found and found[-1].signal == signal and on - found[-1].off < SEEN:

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.fit import by_samples, thin, to_matrix
-from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, deposits
+from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, fed_spans
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond, require_writable
 
@@ -41,7 +41,7 @@ def planned_switches(plan: Plan) -> tuple[Switch, ...]:
     t = plan.trajectory
     outputs = by_bead(plan, list(output_numbers(plan.problem)))
     found = []
-    for a, b in zip(*(ends.tolist() for ends in deposits(t)), strict=True):
+    for a, b in zip(*(ends.tolist() for ends in fed_spans(t)), strict=True):
         bead = int(t.bead[a])
         found += [Switch(float(t.t[k] - t.t[0]), outputs[bead], value, bead) for k, value in ((a, True), (b, False))]
     return tuple(found)

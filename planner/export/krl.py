@@ -155,7 +155,7 @@ SUBPROGRAM = 1000  # moves of one
 FILE_SIZE = 400_000
 LOADED = 4_000_000
 
-SPEED = 4  # decimals of m/s
+SPEED = 5  # decimals of m/s: a fibre is laid at 5 mm/s, and a move of 20 mm takes 4 s
 LEAST_SPEED = 10.0**-SPEED
 STATION = "MACHINE_DEF[2]"  # KUKA's usual place of an external kinematic system; the robot itself is the first one
 ADVANCE = 3  # moves that the interpreter is ahead, KUKA's default: what blending needs
@@ -215,7 +215,7 @@ def write(plan: Plan) -> dict[str, str]:
     cell, start = plan.cell, plan.trajectory.q[:1]
     degrees = np.degrees(to_kuka(start[:, cell.own]))[0]
     external = external_written(cell, start[:, cell.besides])[0]
-    on = plan.cell.T_world_holder if plan.cell.holder_robot is None else plan.cell.T_plate_part
+    on = plan.cell.T_world_holder if plan.cell.station is None else plan.cell.T_plate_part
     data = [
         "&ACCESS RVP",
         "&REL 1",
@@ -247,7 +247,7 @@ def _source(name: str, body: list[str], subprograms: list[Subprogram]) -> str:
 def settings(plan: Plan, moves: Moves) -> dict[str, str]:
     """System variables that are set once, in their order."""
     turning = max(LEAST_TURNING, 10.0 * float(np.ceil(HEAD_ROOM * np.degrees(moves.turn.max()) / 10.0)))
-    station = plan.cell.holder_robot
+    station = plan.cell.station
     base = "FPART" if station is None else f"EK({STATION}.ROOT,{STATION}.MECH_TYPE,FPART)"
     return {
         "$TOOL": "FTOOL",
@@ -285,9 +285,9 @@ def _header(plan: Plan) -> list[str]:
     if before := named[: len(carrying_axes(cell))]:
         texts[-1] = "What carries the robot must be coupled to it in the machine data (ERSYSROOT), its root in $WORLD"
         texts += [f"  {frame(cell.T_world_base)}", f"Its external axes: {', '.join(before)}"]
-    if cell.holder_robot is not None:
+    if cell.station is not None:
         texts += [
-            f"External axes of {STATION}, {cell.holder_robot.name}: {', '.join(named[len(before) :])}",
+            f"External axes of {STATION}, {cell.station.name}: {', '.join(named[len(before) :])}",
             f"  its root in $WORLD must be {frame(cell.T_world_holder_base)}",
         ]
     return [ascii_comment(MARK, text, 2) for text in texts]

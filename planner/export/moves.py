@@ -226,7 +226,6 @@ AXIS_TOLERANCE = np.radians(0.0995)  # of the nozzle's axis [rad]; rounding take
 FREE_TOLERANCE = np.radians(0.25)  # [rad]
 SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
 ANGLE_TOLERANCE = np.radians(0.045)  # of joints and orientation, in languages that name joints or axes [rad]
-LONGEST = 25e-3  # [m] of path between two targets in a bead
 TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
 
@@ -248,7 +247,7 @@ class Moves:
     fine    (m,)   the motion really comes to rest there
     waits          move → what it waits for at its end, one after the other; -1: before the first move
     on_end, on_start   (m,)  the extruder goes on at the end (start) of this move
-    off_end            (m,)  it goes off at the end of this move
+    off_end            (m,)  it goes off at the end of this move: of a bead, or where its fibre is cut
     after   (m,)   the move belongs to what comes after this many beads: run-outs still count to their bead
     targets (m + 1) the start and the target of each move; in beads the nozzle may be turned a little out of a bend (`fit`)
     via     (m) the middle of each arc; the target where there is none
@@ -296,6 +295,15 @@ def deposits(trajectory: Trajectory) -> tuple[Indices, Indices]:
     if (first == last).any():
         k = int(first[first == last][0])
         raise ValueError(f"sample {k} deposits alone: the extruder cannot be switched within one sample")
+    return first, last
+
+
+def fed_spans(trajectory: Trajectory) -> tuple[Indices, Indices]:
+    """First and last sample (inclusive) of each stretch that the extruder feeds: a bead, or what of it comes before its cut."""
+    first, last = deposits(trajectory)
+    for event in cuts(trajectory):
+        at = samples_of_rest(trajectory, event)[0]
+        last[np.searchsorted(first, at, side="right") - 1] = at
     return first, last
 
 
@@ -371,7 +379,7 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     arrives_linear = np.zeros(n, dtype=bool)
     arrives_linear[b[is_linear]] = True
     starts, ends = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
-    starts[first], ends[last] = True, True
+    starts[first], ends[fed_spans(trajectory)[1]] = True, True
     half = np.full(len(a), 0.5)
     via = np.column_stack([middle[b], slerp(leaves[:, 3:7], comes[:, 3:7], half), 0.5 * (leaves + comes)[:, 7:]])
     rates = np.abs(comes - leaves)[:, 7:] / took[:, None]
@@ -409,7 +417,9 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     t, program = plan.trajectory, plan.problem.program
     fed = np.zeros(len(t)) if fed is None else fed
     amount = max(float(np.diff(fed).max(initial=0.0)) / t.dt * TIME_TOLERANCE, 1e-12)  # of filament, out of place [m]
-    others = [1.0, TIME_TOLERANCE, program.tangent, amount, LONGEST]
+    # the nozzle may be as far along its path from where it is to be as beside it: on a long chord it is that far of itself
+    time = max(TIME_TOLERANCE, program.chord / float(plan.commanded.max()))
+    others = [1.0, time, program.tangent, amount, program.longest]
     turns = plan.cell.limits.turns[list(plan.cell.besides)]
     pose = np.column_stack([t.tip, continuous(t.quat), t.q[:, plan.cell.besides]])
     return SampledWay(

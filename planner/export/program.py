@@ -57,6 +57,7 @@ def about(plan: Plan) -> list[str]:
         f"{len(plan.beads)} beads in {plan.layers} layers, "
         f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
         *resumed(plan),
+        *held_by(plan.cell),
         "Verified before it was written:",
         *verified(plan),
     ]
@@ -65,6 +66,15 @@ def about(plan: Plan) -> list[str]:
 def resumed(plan: Plan) -> list[str]:
     """A line that says where the rest of a print begins; none for a whole one."""
     return [f"Resumes at bead {plan.first_bead}: those before it must be there"] if plan.first_bead else []
+
+
+def held_by(cell: Cell) -> list[str]:
+    """Lines that say where a second arm has to stand that holds the part and is not moved; none for other cells."""
+    robot = cell.holder_robot
+    if robot is None or cell.station is not None:
+        return []
+    joints = ", ".join(f"{name} {np.degrees(cell.held[name]):g}" for name in robot.joint_names)
+    return [f"A second arm, {robot.name}, holds the part and is not moved. It stands at [deg]", f"  {joints}"]
 
 
 def verified(plan: Plan) -> list[str]:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
@@ -19,7 +18,7 @@ from planner.export.moves import (
     ON_TIME,
     STILL,
     cuts,
-    deposits,
+    fed_spans,
     nearest_fraction,
     rested_for,
     samples_of_rest,
@@ -184,7 +183,7 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
     trajectory = plan.trajectory
     widening = plan.problem.program.widening
     widest = widening * plan.problem.program.chord
-    first, last = deposits(trajectory)
+    first, last = fed_spans(trajectory)
     pieces = list(pieces_of(program))
     cuts = np.concatenate([[0], np.column_stack([first, last]).ravel(), [len(trajectory) - 1]])
     expected_on = [k % 2 == 1 for k in range(len(cuts) - 1)]
@@ -194,8 +193,7 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
     match = _matched(plan, [piece for _, piece in pieces], cuts)
     starts = match.targets[1:-1]
     event = np.linalg.norm(match.all.position[starts] - trajectory.tip[cuts[1:-1]], axis=1).max(initial=0.0)
-    on = np.array(expected_on)
-    worst = np.maximum(_targets(plan, match), _lines(plan, match, on))
+    worst = np.maximum(_targets(plan, match), _lines(plan, match))
     frames, turned = _frames(plan, program)
     return Agreement(
         widest=widest,
@@ -208,12 +206,12 @@ def compare(plan: Plan, program: RobotProgram) -> Agreement:
         external=float(worst[5]),
         event=float(event),
         frames=frames,
-        late=_late(plan, match, on),
+        late=_late(plan, match),
         wait=waits_differ(plan, program),
         conf=_wrong_configurations(plan, match),
         output=_wrong_outputs(plan, program, first),
-        pace=_travel_pace(plan, match, on),
-        swerves=int(np.count_nonzero(_within(match, on)[0] & ~match.all.linear[:-1])),
+        pace=_travel_pace(plan, match),
+        swerves=int(np.count_nonzero(_within(plan, match)[0] & ~match.all.linear[:-1])),
         bent=_bent(match),
     )
 
@@ -291,9 +289,9 @@ def _targets(plan: Plan, match: _Match) -> Array:
     return np.array([worst[0], 0.0, worst[1], 0.0, worst[2], worst[3] if unused else np.inf])
 
 
-def _lines(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> Array:
+def _lines(plan: Plan, match: _Match) -> Array:
     """Worst (path, travel, axis, swing, roll, external) of the planned samples against lines and arcs between targets."""
-    worst = np.zeros(6)
+    worst, laid = np.zeros(6), plan.trajectory.deposit
     for first in range(0, len(match.cuts) - 1, PIECES):
         pieces = np.arange(first, min(first + PIECES, len(match.cuts) - 1))
         pieces = pieces[np.diff(match.targets)[pieces] > 1]
@@ -305,7 +303,7 @@ def _lines(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> Array:
         owner = np.clip(owner, match.targets[piece], match.targets[piece + 1] - 2)
         line = match.all.linear[owner]
         for lays in (True, False):
-            rows = line & (on[piece] == lays)
+            rows = line & (laid[sample] == lays)
             if rows.any():
                 off, lean, roll, shifted = _straight(plan, match, owner[rows], sample[rows])
                 found = [off, 0.0, lean, 0.0, roll, shifted] if lays else [0.0, off, 0.0, lean, roll, shifted]
@@ -335,7 +333,7 @@ def _joint(plan: Plan, match: _Match, a: Indices, s: Indices) -> float:
     return float(np.linalg.norm(T[:, :3, 3] - plan.trajectory.tip[s], axis=1).max())
 
 
-def _late(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+def _late(plan: Plan, match: _Match) -> float:
     """Longest time by which programmed speeds alone pass a target of a bead earlier or later than planned [s].
 
     Where samples stand close, as before a rest, a target's own sample is known only to those within CLOSE of it.
@@ -344,20 +342,25 @@ def _late(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     clock, tip = moving_time(trajectory), trajectory.tip
     took = match.ways.length / np.where(match.all.speed[:-1] > 0.0, match.all.speed[:-1], np.inf)
     run = np.concatenate([[0.0], np.cumsum(took)])
-    first = match.targets[match.piece]
+    # pieces are travel and beads in turn; what is laid behind a cut is a travel's, and counts from its bead's beginning
+    first = match.targets[np.maximum(match.piece - (match.piece % 2 == 0), 0)]
     programmed = run - run[first]
     planned = clock[at] - clock[at[first]]
     steps = np.linalg.norm(np.diff(tip, axis=0), axis=1)
     beside = np.minimum(np.append(steps, np.inf), np.append(np.inf, steps))[at]
     doubt = np.where(beside < CLOSE, OTHERS, 1.0) * trajectory.dt
     off = np.maximum(np.abs(programmed - planned) - doubt, 0.0)
-    return float(off[on[match.piece]].max(initial=0.0))
+    return float(off[1:][_within(plan, match)[0]].max(initial=0.0))
 
 
-def _within(match: _Match, on: NDArray[np.bool_]) -> tuple[Flags, Flags]:
-    """Ways (m - 1) in beads, and in travel; those from a piece to the next are none."""
+def _within(plan: Plan, match: _Match) -> tuple[Flags, Flags]:
+    """Ways (m - 1) in beads, and in travel; those from a piece to the next are none.
+
+    What lies behind a fibre's cut is laid like the rest of its bead, though nothing is fed there.
+    """
     own = match.piece[1:] == match.piece[:-1]
-    laid = on[match.piece[:-1]]
+    bare = np.cumsum(~plan.trajectory.deposit)
+    laid = plan.trajectory.deposit[match.at[:-1]] & (bare[match.at[1:]] == bare[match.at[:-1]])
     return own & laid, own & ~laid
 
 
@@ -369,7 +372,7 @@ def _bent(match: _Match) -> int:
     return int(np.count_nonzero(rows.circular[:-1] & near))
 
 
-def _travel_pace(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
+def _travel_pace(plan: Plan, match: _Match) -> float:
     """How far the programmed speed of a travel move is off the plan's greatest within it, at worst [m/s].
 
     Which sample is a target's own is known to BESIDE. Speeds from FAST on are those that a language leaves open.
@@ -378,7 +381,7 @@ def _travel_pace(plan: Plan, match: _Match, on: NDArray[np.bool_]) -> float:
     step = np.linalg.norm(np.diff(plan.trajectory.tip, axis=0), axis=1) / plan.trajectory.dt
     fastest = plan.problem.process.travel_speed
     a, b = match.at[:-1], match.at[1:]
-    chosen = np.flatnonzero(_within(match, on)[1] & (speed < FAST) & (b - a > 2 * BESIDE) & (match.ways.length > 0.0))
+    chosen = np.flatnonzero(_within(plan, match)[1] & (speed < FAST) & (b - a > 2 * BESIDE) & (match.ways.length > 0.0))
     if not len(chosen):
         return 0.0
 
@@ -492,7 +495,7 @@ def _frames(plan: Plan, program: RobotProgram) -> tuple[float, float]:
     """Worst difference of tool, work object and first posture: position [m], orientation [rad]."""
     cell = plan.cell
     identity = np.eye(4)
-    moving = cell.holder_robot is not None
+    moving = cell.station is not None
     far, turned = [], []
     for written, T in (
         (program.tool, cell.T_flange_nozzle),
@@ -570,7 +573,7 @@ def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
     """A program against its plan, as it was played in the plan's cell."""
     nozzle = replace(program, position=played.position[played.target], quat=played.quat[played.target])
     spans = laid_spans(played)
-    first, last = deposits(plan.trajectory)
+    first, last = fed_spans(plan.trajectory)
     planned = plan.trajectory.t[last] - plan.trajectory.t[first]
     laid, worst = float("inf"), float("inf")
     if len(spans) == len(planned):

@@ -62,7 +62,7 @@ def unsupported_in_joint_trajectory(setup: Setup) -> str | None:
 
 def unsupported_in_rapid(setup: Setup) -> str | None:
     """Why RAPID does not support a cell; None if it does."""
-    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    arm, holder = setup.cell.arm_robot, setup.cell.station
     if not setup.cell.tells_posture:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
     if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
@@ -74,7 +74,7 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
 
 def unsupported_in_krl(setup: Setup) -> str | None:
     """Why KRL does not support a cell; None if it does."""
-    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    arm, holder = setup.cell.arm_robot, setup.cell.station
     if not setup.cell.tells_posture:
         return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
     if holder is not None and holder.inverse is not None:
@@ -90,7 +90,7 @@ def unsupported_in_krl(setup: Setup) -> str | None:
 
 def unsupported_in_urscript(setup: Setup) -> str | None:
     """Why URScript does not support a cell; None if it does."""
-    arm, holder = setup.cell.arm_robot, setup.cell.holder_robot
+    arm, holder = setup.cell.arm_robot, setup.cell.station
     if arm.language != "urscript":
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
     if setup.cell.rails:
@@ -138,8 +138,8 @@ def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
         return f"postures are told by those of a spherical wrist, which {cell.arm_robot.name} has not"
     if cell.rails:
         return f"it moves the arm alone, and here {cell.joint_names[0]} carries it"
-    if cell.holder_robot is not None:
-        return f"it moves the arm alone, and here {cell.holder_robot.name} moves the part"
+    if cell.station is not None:
+        return f"it moves the arm alone, and here {cell.station.name} moves the part"
     numbers = output_numbers(setup.problem).values()
     if min(numbers) < first:
         return f"outputs count from {first}, and program.extruder_output is {min(numbers)}"
@@ -164,7 +164,7 @@ def unsupported_in_axes(setup: Setup) -> str | None:
         return f"{spec.filament} pushes filament, and moves the part"
     fibre = setup.problem.process.fibre
     orders = [f"T{each.tool}" for each in materials_of(setup.problem)]
-    orders += [line for line in fibre.code if line.startswith("M")] if fibre is not None else []
+    orders += [each for each in fibre.commands if each.startswith("M")] if fibre is not None else []
     for line in orders:
         if FLAVOURS[spec.flavour].order(line) is None:
             return (

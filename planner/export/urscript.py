@@ -87,7 +87,7 @@ def quaternions(vectors: Array) -> Array:
 MARK = "#"  # begins a comment
 SLEEP = "sleep({:.3f})"
 LENGTH, ANGLE = 6, 6  # decimals of metres and radians
-SPEED = 4  # decimals of m/s and rad/s
+SPEED = 5  # decimals of m/s and rad/s
 # A program goes on when a blend begins, so an output is switched that much before its place. Small enough to be no
 # error, and on a straight run-in, where it needs no room, large enough to be a blend.
 SWITCH_BLEND = 0.04e-3  # m

@@ -7,6 +7,7 @@ from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 
+from planner.base.gcode_lines import commands_in
 from planner.link import messages as say
 from planner.link.messages import Framer, Garbage
 from planner.link.program_lines import Position, ProgramLines
@@ -32,7 +33,7 @@ class Patience:
     def of(self, gcode: str) -> float:
         """The longest time to wait for the ack of the next line [s]."""
         code = gcode.split(" ", 1)[0]
-        if code in _WAITING:
+        if any(command.split(" ", 1)[0] in _WAITING for command in commands_in(gcode)):
             return HEAT_TIME
         if code in ("G0", "G1"):
             words = {letter: float(value) for letter, value in _WORD.findall(gcode[len(code) :])}

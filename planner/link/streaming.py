@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
+from planner.base.gcode_lines import commands_in
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 from planner.link.as_written import add_edited, program_as_written
@@ -294,7 +295,7 @@ class LineFeed:
         count = 0
         for frame, texts in stream.lines.items():
             count += len(texts)
-            if any(text.split(" ", 1)[0] in SLOW for text in texts):
+            if any(command.split(" ", 1)[0] in SLOW for text in texts for command in commands_in(text)):
                 if not stream.rests(frame):
                     raise InputError(f"waits for {texts[0]!r} in motion", field="program.style")
                 self._holds.append((frame, count))

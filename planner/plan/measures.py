@@ -30,6 +30,7 @@ ONLY_SURFACES = "the source is no waypoints and no G-code"
 ONLY_BODIES = "a wing, a core, a mesh or STEP faces are printed"
 ONLY_FILLED = "a wing, a mesh or STEP faces are printed"
 ONLY_WAYPOINTS = "a file of waypoints is printed, and smoothing or a cone may turn the nozzle from its normals"
+ONLY_FIBRE = "fibre is laid"
 ONLY_SWITCHED = "process.extruder.motor is on_off"
 ONLY_MOTOR = "process.extruder.motor is not on_off"
 ONLY_SCANNED = "as_printed is given"
@@ -222,6 +223,13 @@ METRICS: dict[str, Measure] = {
         "what leaves the nozzle, lag included, over each millimetre, as a share; not in the lag zone",
     ),
     "extruded_volume_mm3": Measure("mm3", "material that is laid", "sum of flow over time"),
+    "steering_radius_min_mm": Measure(
+        "mm",
+        "least radius to which a fibre is bent within the surface, at most 10,000",
+        "one over the geodesic curvature of the executed tip, by its arc length, on the surface's normals, of the parabolas "
+        "that fit it best over four tow widths; run-in and run-out lay nothing",
+        ONLY_FIBRE,
+    ),
     "extruded_mm": Measure(
         "mm", "filament that the motor has pushed at the end", "primes and purges included, retracts taken off"
     ),
@@ -383,6 +391,12 @@ CHECKS: dict[str, Measure] = {
         "as much fibre is fed for a bead as the bead is long",
         "filament from the end of one bead to that of the next",
         "process.fibre is given",
+    ),
+    "steering radius of the fibre": Measure(
+        "mm",
+        "the fibre is bent within the surface no more tightly than its material allows",
+        "see steering_radius_min_mm; the limit is process.fibre.least_radius_mm",
+        "process.fibre.least_radius_mm is given",
     ),
     "motor runs while a bead is laid": Measure(
         "of its rate",

@@ -7,17 +7,20 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import PATH, Quantity, Section, Thickness, key, one_of, refusal
+from planner.problem.fields import PATH, UNIT_VECTOR, Quantity, Section, Thickness, Vector, key, one_of, refusal
 from planner.problem.part import Unit, unit_key
 from planner.problem.process import MaterialName, material_key
 from planner.problem.yaml_file import describe
 
 # Keys of layers.source, each of which names a source: only one may be given.
-SOURCE_NAMES = ("svg", "dxf", "pattern", "curves", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
+SOURCE_NAMES = ("svg", "dxf", "pattern", "curves", "nurbs", "waypoints", "gcode", "mesh", "aerofoil", "naca", "faces")
 
 BLEND_MM = 6  # two facets of the published dome; measured in benchmarks.orientation
 PatternName = Literal["honeycomb", "zigzag", "squares", "concentric"]
 PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
+
+ProjectName = Literal["z", "normal", "direction"]
+PROJECT_NAMES: tuple[str, ...] = get_args(ProjectName)
 
 HIGHEST_DEGREE = 9  # drawing programs end at 11; beyond 5 nobody draws
 MOST_POINTS = 5000  # of a curve
@@ -130,7 +133,6 @@ class WrappedDxfSpec(WrappedLayersSpec):
 class OnPartSpec(Section):
     """How plane curves fall onto the part."""
 
-    project: Annotated[Literal["z"], one_of(("z",))] = key("project", "the axis along which curves fall onto the part")
     centre: Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2)] = key(
         "centre_mm", "where the middle of the curves lies, x and y of the part frame [mm]", (0, 0)
     )
@@ -143,7 +145,15 @@ class ProjectedLayersSpec(OnPartSpec):
     """What is printed, and how often: plane curves projected onto the part."""
 
     bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh", "step")
+    exact: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation")  # for other ways than z
 
+    project: Annotated[ProjectName, one_of(PROJECT_NAMES)] = key(
+        "project",
+        "how curves fall onto the part: along z, along its normals (each point to the nearest place), or in a direction",
+    )
+    direction: Annotated[Vector, Quantity("", -1000, 1000, count=3), UNIT_VECTOR] | None = key(
+        "direction", "in which they fall, with project: direction; not upwards; default: none", None
+    )
     offset: Annotated[Literal["normal", "z"], one_of(("normal", "z"))] = key(
         "offset", "where the next layer lies: along the surface's normal, or along z", "normal"
     )
@@ -162,6 +172,18 @@ class ProjectedLayersSpec(OnPartSpec):
         f"default: {BLEND_MM} with normals: facets",
         None,
     )
+
+    @model_validator(mode="after")
+    def _one_way_to_fall(self) -> ProjectedLayersSpec:
+        if (self.project == "direction") != (self.direction is not None):
+            reason = (
+                "project is direction, and there is none" if self.direction is None else f"project is {self.project}"
+            )
+            hint = "give direction, for example [0.3, 0, -1]" if self.direction is None else "leave out direction"
+            raise refusal(reason, hint, fields=["direction", "project"])
+        if self.direction is not None and self.direction[2] > 0.0:
+            raise refusal("points upwards, and the part is seen from above", "a direction into it", item="direction")
+        return self
 
     @model_validator(mode="after")
     def _blend_between_facets(self) -> ProjectedLayersSpec:
@@ -211,13 +233,13 @@ def _some_points(value: Any) -> Any:
 
 
 class CurveSpec(Section):
-    """A rational B-spline curve in the plane."""
+    """A rational B-spline curve in the plane, or in space."""
 
     degree: Annotated[int, Quantity("", 1, HIGHEST_DEGREE, whole=True)] = key("degree", "degree of the curve")
     points: Annotated[
-        tuple[Annotated[tuple[float, float], Quantity("mm", -100_000, 100_000, count=2)], ...],
+        tuple[Annotated[tuple[float, ...], Quantity("mm", -100_000, 100_000, count=(2, 3))], ...],
         BeforeValidator(_some_points),
-    ] = key("points_mm", "its control points, x and y, at least degree + 1 of them [mm]")
+    ] = key("points_mm", "its control points, x and y or x, y and z, at least degree + 1 of them [mm]")
     weights: Annotated[tuple[float, ...], Quantity("", LIGHTEST, HEAVIEST, count=(1, MOST_POINTS))] | None = key(
         "weights", "one for each control point; default: all 1", None
     )
@@ -226,6 +248,14 @@ class CurveSpec(Section):
         "as many as points + degree + 1, the first and the last degree + 1 of them equal; default: evenly spaced",
         None,
     )
+
+    @model_validator(mode="after")
+    def _alike_points(self) -> CurveSpec:
+        odd = next((i for i, point in enumerate(self.points) if len(point) != len(self.points[0])), None)
+        if odd is not None:
+            reason = f"point {odd + 1} has {len(self.points[odd])} numbers, and point 1 has {len(self.points[0])}"
+            raise refusal(reason, "x and y for all, or x, y and z", fields=["points_mm"])
+        return self
 
     @model_validator(mode="after")
     def _enough_points(self) -> CurveSpec:
@@ -271,11 +301,27 @@ def _ends(knots: tuple[float, ...], degree: int) -> str:
     return f"{first} ... {last}"
 
 
-class CurvesSpec(SourceSection):
-    """Curves that become beads, in one plane."""
+SomeCurves = Annotated[tuple[CurveSpec, ...], BeforeValidator(_some_curves)]
 
-    curves: Annotated[tuple[CurveSpec, ...], BeforeValidator(_some_curves)] = key(
-        "curves", "NURBS curves, each with degree, points_mm and, if wanted, weights and knots"
+
+class CurvesSpec(SourceSection):
+    """Curves that become beads, in one plane or in space."""
+
+    curves: SomeCurves = key("curves", "NURBS curves, each with degree, points_mm and, if wanted, weights and knots")
+    crumbs: Crumbs = crumbs_key(_CURVES)
+
+
+class CurveListSpec(Section):
+    """What stands in a file of NURBS curves."""
+
+    curves: SomeCurves = key("curves", "NURBS curves, each with degree, points_mm and, if wanted, weights and knots")
+
+
+class NurbsSpec(SourceSection):
+    """Curves in a file that become beads, in one plane or in space."""
+
+    nurbs: Annotated[Path, PATH] = key(
+        "nurbs", "JSON file with a list `curves` of NURBS curves, counted from the folder of the problem file"
     )
     crumbs: Crumbs = crumbs_key(_CURVES)
 
@@ -284,3 +330,9 @@ class ProjectedCurvesSpec(ProjectedLayersSpec):
     """Curves projected onto the part."""
 
     source: CurvesSpec = key("source", "where the curves come from")
+
+
+class ProjectedNurbsSpec(ProjectedLayersSpec):
+    """Curves of a file projected onto the part."""
+
+    source: NurbsSpec = key("source", "where the curves come from")

@@ -20,6 +20,7 @@ from planner.problem.drawings import (
     ProjectedDrawingSpec,
     ProjectedDxfSpec,
     ProjectedLayersSpec,
+    ProjectedNurbsSpec,
     ProjectedPatternSpec,
     SourceSection,
     WrappedDxfSpec,
@@ -364,6 +365,7 @@ class CoreLayersSpec(OnPartSpec):
 
     bodies: ClassVar[tuple[str, ...]] = ("mesh",)
 
+    project: Annotated[Literal["z"], one_of(("z",))] = key("project", "the axis along which curves fall onto the part")
     source: PatternSpec = key("source", "where the curves come from")
     up_to: MiddleSpec = key("up_to", "the middle of the core: z_mm or mesh")
     halves: Annotated[Literal["both", "lower"], one_of(("both", "lower"))] = key(
@@ -520,6 +522,7 @@ KINDS = (
     _Kind("[projected dxf]", ProjectedDxfSpec, ("dxf",)),
     _Kind("[pattern]", ProjectedPatternSpec, ("pattern",)),
     _Kind("[curves]", ProjectedCurvesSpec, ("curves",)),
+    _Kind("[nurbs]", ProjectedNurbsSpec, ("nurbs",)),
     _Kind("[core]", CoreLayersSpec, ("pattern",)),
     _Kind("[waypoints]", WaypointLayersSpec, ("waypoints",)),
     _Kind("[gcode]", GcodeLayersSpec, ("gcode",)),
@@ -553,6 +556,7 @@ AnyLayersSpec = Annotated[
     | Annotated[ProjectedDxfSpec, Tag("[projected dxf]")]
     | Annotated[ProjectedPatternSpec, Tag("[pattern]")]
     | Annotated[ProjectedCurvesSpec, Tag("[curves]")]
+    | Annotated[ProjectedNurbsSpec, Tag("[nurbs]")]
     | Annotated[CoreLayersSpec, Tag("[core]")]
     | Annotated[WaypointLayersSpec, Tag("[waypoints]")]
     | Annotated[GcodeLayersSpec, Tag("[gcode]")]
@@ -568,6 +572,10 @@ def check_body(part: PartSpec, layers: AnyLayersSpec) -> None:
     if part.body in layers.bodies:
         if isinstance(layers, ProjectedLayersSpec) and layers.normals == "facets" and part.body != "mesh":
             raise refusal(f"a {part.body} has no facets", "leave out layers.normals, or give a mesh", item=part.body)
+        if isinstance(layers, ProjectedLayersSpec) and layers.project != "z" and part.body not in layers.exact:
+            reason = f"layers.project: {layers.project} and a {part.body} do not go together"
+            hint = f"it goes with {', '.join(layers.exact)}; turn the {part.body} with rpy_deg, and project: z"
+            raise refusal(reason, hint, item=part.body)
         return
     if not layers.bodies:
         what = "waypoints carry their own surface: there is no body"

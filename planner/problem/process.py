@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
+from planner.base.gcode_lines import commands_in, time_of
 from planner.problem.by_layer import (
     LEAST_WAIT,
     InterlayerTimeSpec,
@@ -50,7 +51,9 @@ MaterialName = Annotated[str, IDENTIFIER]
 CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
 MOST_LINES = 20
 KLIPPER_LACKS = ("M42", "M280")  # of the orders that a cut may have
-_ORDER = re.compile(r"M(42|106|107|280)( [A-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6}")
+_COMMAND = r"(M(42|106|107|280)( [A-FH-LO-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6})"
+_ORDER = re.compile(f"{_COMMAND}( {_COMMAND})*")
+SHARING = ("reprap",)  # firmwares that take several commands in a line
 
 FIBRE_RAMP_DEG = 30  # Tawfik et al., section III.A.2: laid down at this angle, the end of the fibre sticks
 Wait = Annotated[float, Quantity("s", 0, 3600)]  # an hour heats any bed
@@ -209,19 +212,24 @@ def check_board(problem: Problem) -> None:
     if board.sync == "signal" and last >= INPUTS[board.firmware]:
         reason = f"{len(process.materials)} materials go up to input {last}, which {board.firmware} has not"
         raise problem.error("program.board.input", reason, f"at most {INPUTS[board.firmware] - len(process.materials)}")
+    code = () if process.fibre is None else process.fibre.code
+    shared = next((line for line in code if len(commands_in(line)) > 1), None)
+    if shared is not None and board.firmware not in SHARING:
+        reason = f"{board.firmware} takes one command a line, not {shared!r}"
+        raise problem.error("process.fibre.cut_code", reason, f"[{', '.join(commands_in(shared))}]")
     if board.firmware != "klipper":
         return
     if process.fan is not None and process.fan.number:
         reason = f"Klipper's M106 knows no fan {process.fan.number}"
         raise problem.error("process.fan.number", reason, "its fan is 0")
-    for line in process.fibre.code if process.fibre is not None else ():
-        if line.startswith(KLIPPER_LACKS):
-            reason = f"Klipper has no {line.split(' ')[0]}, which cuts the fibre"
+    for command in process.fibre.commands if process.fibre is not None else ():
+        if command.startswith(KLIPPER_LACKS):
+            reason = f"Klipper has no {command.split(' ')[0]}, which cuts the fibre"
             raise problem.error("process.fibre.cut_code", reason, "use M106, M107 and G4")
 
 
 def _order(value: Any) -> str:
-    """One line of a board's macro: an output (M42, M106, M107), a servo (M280), or a pause in milliseconds."""
+    """One line of a board's macro: outputs (M42, M106, M107), servos (M280), and pauses in milliseconds, one or several."""
     if not isinstance(value, str):
         raise refusal(f"must be a line of G-code, not {describe(value)}", "quote it, for example 'M106 P0 S1'")
     if not _ORDER.fullmatch(value):
@@ -248,11 +256,6 @@ def usual_cut(wait: float) -> tuple[str, ...]:
     ms = int(min(CUT_PAUSE, 0.5 * wait) * 1e3)
     pause = (f"G4 P{ms}",) if ms else ()
     return ("M106 P0 S1", *pause, "M106 P0 S0", *pause)
-
-
-def time_of(code: tuple[str, ...]) -> float:
-    """How long the pauses of a macro take together [s]."""
-    return sum(int(line[len("G4 P") :]) for line in code if line.startswith("G4")) * 1e-3
 
 
 class FanSpec(Section):
@@ -315,10 +318,15 @@ class FibreSpec(Section):
     least_laid: Annotated[float, Quantity("mm", 1, 500)] = key(
         "least_laid_mm", "least length laid before the cut, whose adhesion holds the fibre [mm]", 5
     )
+    least_radius: Annotated[float, Quantity("mm", 0.1, 10_000)] | None = key(
+        "least_radius_mm",
+        "least radius to which the fibre may be steered on the surface (of its geodesic curvature) [mm]; default: any",
+        None,
+    )
     cut_code: CutCode | None = key(
         "cut_code",
-        "G-code of the cut: outputs and servos, and pauses (G4 P, milliseconds) no longer than cut_wait_s in all; "
-        "default: fan output 0 on and off, as published",
+        "G-code of the cut: outputs and servos, and pauses (G4 P, milliseconds) no longer than cut_wait_s in all; with "
+        "reprap a line may have several commands; default: fan output 0 on and off, as published",
         None,
     )
 
@@ -334,6 +342,11 @@ class FibreSpec(Section):
     def code(self) -> tuple[str, ...]:
         """What the extruder's board is told to cut the fibre, which takes no longer than the wait."""
         return usual_cut(self.cut_wait) if self.cut_code is None else self.cut_code
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """Its commands, each alone."""
+        return tuple(command for line in self.code for command in commands_in(line))
 
     @property
     def code_time(self) -> float:
@@ -399,7 +412,7 @@ class AroundBeadSpec(Section):
     @model_validator(mode="after")
     def _cutter_is_no_fan(self) -> AroundBeadSpec:
         if self.fibre is not None and self.fan is not None:
-            taken = [line for line in self.fibre.code if line.startswith(f"M106 P{self.fan.number} ")]
+            taken = [each for each in self.fibre.commands if each.startswith(f"M106 P{self.fan.number} ")]
             if taken:
                 reason = f"fan output {self.fan.number} is the cutter's ({taken[0]})"
                 raise refusal(reason, "give fan.number, or fibre.cut_code", fields=["fan", "fibre"])

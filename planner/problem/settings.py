@@ -52,6 +52,8 @@ USUAL_LANGUAGE: LanguageName = "joint_trajectory"  # of arms whose file names no
 Identifier = Annotated[str, IDENTIFIER]
 StyleName = Literal["output", "demand", "socket"]
 STYLE_NAMES: tuple[str, ...] = get_args(StyleName)
+ZoneName = Literal["z0", "z1", "z5", "z10"]
+ZONE_NAMES: tuple[str, ...] = get_args(ZoneName)
 FirmwareName = Literal["reprap", "marlin", "klipper"]
 FIRMWARES: tuple[str, ...] = get_args(FirmwareName)
 SyncName = Literal["signal", "free"]
@@ -350,6 +352,12 @@ class ProgramSpec(Section):
     arcs: Truth = key("arcs", "circular moves, in languages that have them", True)
     tangent: Annotated[float, Quantity("deg", 0.5, 45)] = key(
         "tangent_deg", "greatest angle between a bead and the line that stands for it [deg]", 45
+    )
+    longest: Annotated[float, Quantity("mm", 1, 1000)] = key(
+        "longest_mm", "longest move on a bead [mm]; below it chord and angle alone decide", 25
+    )
+    largest_zone: Annotated[ZoneName, one_of(ZONE_NAMES)] = key(
+        "largest_zone", f"the largest zone of a target in RAPID: {', '.join(ZONE_NAMES)}", "z10"
     )
     machine: MachineSpec | None = key("machine", "a multi-axis machine to write G-code for; default: none", None)
 

@@ -51,6 +51,7 @@ SHOWN = (
     "robot_clearance_min_mm",
     "flow_error_max",
     "over_extruded_mm3",
+    "steering_radius_min_mm",
     "extruded_mm",
 )
 ROWS = tuple(metric for key in SHOWN for metric in METRICS if metric.key == key)

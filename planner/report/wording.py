@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 MISSING = "–"
 FARTHEST = 50.0  # mm: the verifier looks no farther for what comes near, so that a distance of as much is a bound
+STRAIGHTEST = 10_000.0  # mm: the verifier tells no larger radii of steering apart
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ METRICS = (
     MetricLabel("flow_error_max", "flow per millimetre", "%", 2, 100, "down"),
     MetricLabel("over_extruded_mm3", "too much material in dips", "mm³", 2, better="down"),
     MetricLabel("lag_zone_mm", "length not judged by flow per millimetre", "mm", 0),
+    MetricLabel("steering_radius_min_mm", "steering radius of the fibre", "mm", 1, better="up"),
     MetricLabel("extruded_mm", "filament", "m", 2, 1e-3),
     MetricLabel("extruded_volume_mm3", "material deposited", "cm³", 2, 1e-3),
 )
@@ -162,6 +164,7 @@ GROUPS = {
         "extrusion balance",
         "filament fed",
         "fibre as long as its bead",
+        "steering radius of the fibre",
         "motor runs while a bead is laid",
         "too much material in dips",
         "material fed by its own tool",
@@ -206,8 +209,9 @@ def number(value: float | None, digits: int) -> str:
 
 
 def distance(key: str, value: float, digits: int) -> str:
-    """A metric's value; a distance [mm] of bodies as far as the verifier looks is told as the bound that it is."""
+    """A metric's value; a distance of bodies or a radius [mm] as far as the verifier looks is told as the bound that it is."""
     bound = key.endswith("clearance_min_mm") and key != "tip_clearance_min_mm" and value >= FARTHEST
+    bound |= key == "steering_radius_min_mm" and value >= STRAIGHTEST
     return f"≥\u2009{number(value, digits)}" if bound else number(value, digits)
 
 

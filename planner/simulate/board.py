@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from planner.base.errors import InputError, nearest_name
+from planner.base.gcode_lines import commands_in
 
 # ----------------------------------------------------------------------------------------------------
 # Faults on demand: `kind@line`, or `kind@line:value`.
@@ -160,10 +161,13 @@ class Reply:
 
 @dataclass(frozen=True)
 class ReceivedLine:
-    """A line that came: its number as sent, or None, and the G-code without it."""
+    """A line that came: its number as sent, or None, the G-code without it, which of its commands this is, and whether it
+    is the last one, with which the line is acknowledged."""
 
     number: int | None
     text: str
+    command: str
+    last: bool = True
 
 
 class Record:
@@ -299,13 +303,14 @@ class Board:
         if len(self._waiting) >= MOST_WAITING:
             out.append(self._warn("Error: input overrun, line lost"))
             return
-        self._waiting.append(ReceivedLine(number, code))
+        commands = commands_in(code)
+        self._waiting += [ReceivedLine(number, code, each, k == len(commands)) for k, each in enumerate(commands, 1)]
 
     def _accept(self, out: list[Reply]) -> None:
         """Take waiting lines as far as the queue allows."""
         while self._waiting and self._blocked is None and not self.halted:
             line = self._waiting[0]
-            code, words = _parsed(line.text)
+            code, words = _parsed(line.command)
             if (code in _WAITS and self._queue) or (code in _QUEUED and len(self._queue) >= QUEUE):
                 return
             self._waiting.popleft()
@@ -319,9 +324,9 @@ class Board:
                 complaint = self._at_once(code, words, out)
             if complaint:
                 out.append(self._warn(complaint))
-            else:
+            elif line.last:
                 self.record.accepted.append((line.number, line.text))
-            if self._blocked is None:
+            if self._blocked is None and line.last:
                 out.append(_ok(line))
 
     def _enqueue(self, line: ReceivedLine, code: str, words: dict[str, float], out: list[Reply]) -> str | None:
@@ -355,7 +360,7 @@ class Board:
         """What ends now has its effect."""
         if not self._queue:
             job, self._blocked = self._blocked, None
-            out += [] if job is None else [_ok(job.line)]
+            out += [] if job is None or not job.line.last else [_ok(job.line)]
             return
         job = self._queue.popleft()
         words = job.words

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.gcode_lines import commands_in
 
 READ = 1e-3  # s that a line takes to be read from the card
 LOOK = 2e-3  # s between looks at an input that is waited for, and until what follows is on its way
@@ -136,9 +137,11 @@ class _FileRun:
 
     def _line(self, i: int) -> None:
         text = self._lines[i].split(";")[0].strip()
-        if not text:
-            return
-        self.read += READ
+        for command in commands_in(text) if text else ():
+            self.read += READ
+            self._command(i, command)
+
+    def _command(self, i: int, text: str) -> None:
         words = dict(_WORD.findall(text))
         code = text.split(" ")[0]
         if code == "G1" and "E" in words:

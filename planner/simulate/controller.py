@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.gcode_lines import commands_in
 from planner.cell.cell import Cell
 from planner.export.arcs import LinesAndArcs
 from planner.export.player.play import play
@@ -116,7 +117,7 @@ def lines(program: RobotProgram, ends: Array, after: Array) -> Iterator[MotionEv
         rests = program.send_rests.get(move, (0.0,) * len(texts))
         for text, rest in zip(texts, rests, strict=True):
             yield MotionEvent(min(arrive + rest, leave), move, SEND, text)
-        if any(text.split(" ")[0] in SLOW for text in texts):
+        if any(command.startswith(SLOW) for text in texts for command in commands_in(text)):
             yield MotionEvent(leave, move, SETTLE)
 
 

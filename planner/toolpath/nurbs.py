@@ -1,18 +1,19 @@
-"""NURBS curves as plane paths.
+"""NURBS curves as polylines, in the plane or in space.
 
 Curves are evaluated in homogeneous coordinates and divided as finely as they bend.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
 
 from planner.base.arrays import Array
-from planner.problem import Problem
-from planner.problem.drawings import CurveSpec, CurvesSpec
+from planner.base.errors import Complaint
+from planner.problem.drawings import CurveSpec
 from planner.toolpath.svg.outlines import PlanePath
 
 FLATNESS = 1e-6  # m, between chords and curve: far below any tolerance, and some 200 points for a curve of 100 mm
@@ -25,7 +26,7 @@ _BACK = np.radians(165.0)  # turned within it
 
 
 class Cusp(ValueError):
-    """A curve turns back on itself at `place` (2) [m]."""
+    """A curve turns back on itself at `place` (2 or 3) [m]."""
 
     def __init__(self, place: Array) -> None:
         self.place = place
@@ -34,9 +35,9 @@ class Cusp(ValueError):
 
 @dataclass(frozen=True)
 class NurbsCurve:
-    """A rational B-spline curve of the plane, its parameter from 0 to 1.
+    """A rational B-spline curve, its parameter from 0 to 1.
 
-    spline of weight times x and y, and of the weight [m]; knots: the distinct ones.
+    spline of weight times x, y and in space z, and of the weight [m]; knots: the distinct ones.
     """
 
     spline: BSpline
@@ -57,9 +58,9 @@ class NurbsCurve:
         return cls(spline, np.unique(knots))
 
     def at(self, u: Array) -> Array:
-        """Points (n, 2) [m] at parameters u (n)."""
+        """Points (n, 2), or in space (n, 3), at parameters u (n) [m]."""
         rows = np.asarray(self.spline(u))
-        return np.asarray(rows[:, :2] / rows[:, 2:])
+        return np.asarray(rows[:, :-1] / rows[:, -1:])
 
 
 def flatten(curve: NurbsCurve, name: str) -> PlanePath:
@@ -77,16 +78,16 @@ def flatten(curve: NurbsCurve, name: str) -> PlanePath:
         if len(bad) == 0:
             break
         u = np.insert(u, bad + 1, u[bad] + 0.5 * step[bad])
-    points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > _SAME)]
+    points = points[np.append(True, np.linalg.norm(np.diff(points, axis=0), axis=1) > _SAME)]
     _refuse_cusp(points)
-    closed = len(points) > 2 and bool(np.hypot(*(points[-1] - points[0])) <= FLATNESS)
+    closed = len(points) > 2 and bool(np.linalg.norm(points[-1] - points[0]) <= FLATNESS)
     if closed:
         points[-1] = points[0]
     return PlanePath(name, points, closed)
 
 
 def _off_chord(points: Array, between: Array) -> Array:
-    """Distances (n - 1) of points between two successive ones (n, 2) from their chord."""
+    """Distances (n - 1) of points between two successive ones (n, 2 or 3) from their chord."""
     chord = np.diff(points, axis=0)
     away = between - points[:-1]
     square = np.maximum((chord * chord).sum(axis=1), _SAME**2)
@@ -95,30 +96,34 @@ def _off_chord(points: Array, between: Array) -> Array:
 
 
 def _refuse_cusp(points: Array) -> None:
-    """Raise Cusp where a polyline (n, 2) turns by _BACK within _CUSP."""
+    """Raise Cusp where a polyline (n, 2 or 3) turns by _BACK within _CUSP."""
     step = np.diff(points, axis=0)
     if len(step) < 2:
         return
-    a, b = step[:-1], step[1:]
-    turn = np.abs(np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1)))
-    arc = np.cumsum(np.hypot(*step.T))[:-1]  # of the vertices that turn
+    size = np.linalg.norm(step, axis=1)
+    unit = step / size[:, None]
+    apart, together = (np.linalg.norm(unit[1:] + sign * unit[:-1], axis=1) for sign in (-1.0, 1.0))
+    turn = 2.0 * np.arctan2(apart, together)
+    arc = np.cumsum(size)[:-1]  # of the vertices that turn
     total = np.concatenate([[0.0], np.cumsum(turn)])
     turned = total[np.searchsorted(arc, arc + _CUSP, side="right")] - total[:-1]
     if turned.max() >= _BACK:
         raise Cusp(points[1 + int(np.argmax(turned))])
 
 
-def nurbs_paths(problem: Problem, source: CurvesSpec) -> tuple[PlanePath, ...]:
-    """The curves in the order of the file, as polylines in metres. Raises InputError for one that has a cusp."""
+def nurbs_paths(curves: Sequence[CurveSpec], where: Callable[[int], Complaint]) -> tuple[PlanePath, ...]:
+    """Curves in their order, as polylines (n, 2) or (n, 3) in metres.
+
+    Raises the InputError that `where(i)(reason, hint=...)` makes for one that has a cusp.
+    """
     paths = []
-    for i, spec in enumerate(source.curves):
+    for i, spec in enumerate(curves):
         try:
             paths.append(flatten(NurbsCurve.of(spec), f"curve {i + 1}"))
         except Cusp as error:
-            x, y = error.place * 1e3
-            raise problem.error(
-                f"layers.source.curves.{i}",
-                f"curve {i + 1} turns back on itself at x {x:.2f}, y {y:.2f} mm",
-                "no bead follows a cusp: move its control points, or make two curves of it",
+            at = ", ".join(f"{axis} {value:.2f}" for axis, value in zip("xyz", error.place * 1e3, strict=False))
+            raise where(i)(
+                f"curve {i + 1} turns back on itself at {at} mm",
+                hint="no bead follows a cusp: move its control points, or make two curves of it",
             ) from None
     return tuple(paths)

@@ -47,6 +47,7 @@ from planner.verify.material import extrusion
 from planner.verify.nozzle import beyond, by_the_tip
 from planner.verify.pressed import pressed
 from planner.verify.reread.printed import as_the_problem_says
+from planner.verify.steering import steering
 
 POSITION_TOLERANCE = 2e-5  # m, tip against the rounded path: no more than interpolation between waypoints may add
 AXIS_TOLERANCE = np.radians(0.05)  # rad, nozzle axis against the true normal
@@ -111,6 +112,7 @@ def verify(
             _singularity(judged),
             _speed(judged),
             extrusion(judged),
+            steering(judged),
             by_layer(judged),
             interlayer(judged),
             crossing(judged),

@@ -8,7 +8,7 @@ MODULE OneBead
     ! 8 moves, 3 of them along beads, whose toolpath has 12 waypoints
     ! Note: 2 lines are sent at fly-by points, as early as the controller reads ahead
     !   first bead 0, line 71 of OneBead.mod
-    ! Note: 2 moves on beads are slowed by accelerations of the joints, the worst to 76 % of its speed
+    ! Note: 1 move on a bead is slowed by accelerations of the joints, the worst to 76 % of its speed
     !   first bead 0, line 75 of OneBead.mod
 
     ! The load below is a placeholder: identify it on the robot before the first run.
@@ -72,16 +72,17 @@ MODULE OneBead
         BwLine 7,"G1 E0.50702 F304.212";
         MoveC [[-2.368,40.968,30.969],[0.5280799,0.5280799,0.4702463,0.4702463],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.545,38.934,31.700],[0.5140227,0.5140227,0.4855725,0.4855725],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,z5,tPen\WObj:=wobjPart;
         BwLine 8,"G1 E0.49891 F299.346";
-        MoveC [[-2.600,36.941,31.996],[0.4995210,0.4995210,0.5004786,0.5004786],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,fine,tPen\WObj:=wobjPart;
+        TriggC [[-2.600,36.941,31.996],[0.4995210,0.4995210,0.5004786,0.5004786],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.537,34.936,31.805],[0.4845871,0.4845871,0.5149518,0.5149518],[0,0,0,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,trgOff,fine,tPen\WObj:=wobjPart;
         ! cut, bead 0
         WaitTime 1.000;
         BwLine 9,"M106 P0 S1";
         BwLine 10,"G4 P500";
         BwLine 11,"M106 P0 S0";
         BwLine 12,"G4 P500";
-        WaitTime 2.000;
+        WaitTime 1.000;
         BwSettle 900;
-        TriggC [[-2.361,32.979,31.185],[0.4698560,0.4698560,0.5284272,0.5284272],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.088,31.125,30.329],[0.4547504,0.4547504,0.5414813,0.5414813],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,trgOff,z5,tPen\WObj:=wobjPart;
+        WaitTime 1.000;
+        MoveC [[-2.361,32.979,31.185],[0.4698560,0.4698560,0.5284272,0.5284272],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],[[-2.088,31.125,30.329],[0.4547504,0.4547504,0.5414813,0.5414813],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel42_3,z5,tPen\WObj:=wobjPart;
         MoveL [[-1.416,28.105,28.857],[0.4296436,0.4296436,0.5616105,0.5616105],[-1,-1,1,1],[9E9,9E9,9E9,9E9,9E9,9E9]],vel45,fine,tPen\WObj:=wobjPart;
     ENDPROC
 

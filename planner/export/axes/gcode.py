@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.base.gcode_lines import PAUSE, commands_in, time_of
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.axes.arcs import centre_and_swept, via_point, with_arcs
 from planner.export.axes.flavours import FLAVOURS, Flavour, arcs_said, feed_length
@@ -157,7 +158,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
         texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
-        frame = "on the turning part" if cell.holder_robot is not None else "in the part frame"
+        frame = "on the turning part" if cell.station is not None else "in the part frame"
         texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
     return [ascii_comment(";", text, longest=150) for text in texts]
 
@@ -261,13 +262,14 @@ def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
     for line in order.lines:
         if line.startswith(";"):
             continue
-        if line.startswith("G4 P"):
-            lines.append(flavour.pause.format(int(line[len("G4 P") :]) * 1e-3 / flavour.unit))
-            continue
-        own = flavour.order(line)
-        if own is None:
-            raise ValueError(f"{line} cannot be said to this controller")
-        lines.append(own)
+        for command in commands_in(line):
+            if command.startswith(PAUSE):
+                lines.append(flavour.pause.format(time_of([command]) / flavour.unit))
+                continue
+            own = flavour.order(command)
+            if own is None:
+                raise ValueError(f"{command} cannot be said to this controller")
+            lines.append(own)
     return lines, order.time
 
 

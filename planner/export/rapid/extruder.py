@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.board import select
-from planner.export.extruder import orders
+from planner.export.extruder import cutter_starts, orders
 from planner.export.in_step import laid_filament
-from planner.export.moves import Moves, deposits
+from planner.export.moves import Moves, deposits, samples_of_rest
+from planner.export.moves import cuts as cuts_of
 from planner.plan.plan import filament_areas, materials_of
 
 if TYPE_CHECKING:
@@ -95,7 +96,6 @@ SHORTEST = 0.02  # s that a line lasts, as in extruder.writer: a board that gets
 LONGEST_LINE = 60  # characters: with number and line end it fits into a string of RAPID
 RELATIVE = "M83"
 HEATS = ("M109", "M116", "M190")  # lines that the board acknowledges when all is hot,
-WAITS = (*HEATS, "G4 ")  # or when they are over, which may be late
 FILAMENT_DECIMALS = 5  # of filament [mm]
 LEAST_RATE = 1e-3  # mm/min, the least that is written
 COLUMNS = "n,bead,layer,t_s,text"
@@ -156,12 +156,12 @@ def _ordered(plan: Plan) -> list[tuple[float, str, int, int]]:
     """Lines of what the board is told besides moving filament: (time [s], text, bead, layer)."""
     t, fibre = plan.trajectory, plan.problem.process.fibre
     begin = float(t.t[0])
-    cuts = {event.start: event.duration for event in t.events if event.kind == "cut"}
+    cuts = {} if fibre is None else {cutter_starts(event, fibre): event for event in cuts_of(t)}
     found = []
     for order in orders(plan):
         at = order.start
-        if fibre is not None and at in cuts:
-            at += 0.5 * (cuts[at] - order.time)  # as long before the cutter moves as after it, as published
+        if at in cuts:  # counted from the sample that rests, as the program's wait is
+            at += float(t.t[samples_of_rest(t, cuts[at])[0]]) - cuts[at].start
         here = min(int(np.searchsorted(t.t, at)), len(t) - 1)
         found += [(at - begin, text, int(t.bead[here]), int(t.layer[here])) for text in order.lines if text[0] != ";"]
     return found

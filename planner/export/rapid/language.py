@@ -14,7 +14,7 @@ from planner.base.arrays import Array
 from planner.export.board import selected_tool
 from planner.export.external import external_written
 from planner.export.extruder import AMOUNT, filament_differences, orders
-from planner.export.moves import deposits
+from planner.export.moves import fed_spans
 from planner.export.program import RobotProgram
 from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
 from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files
@@ -127,7 +127,7 @@ def _fed_elsewhere(plan: Plan, program: RobotProgram) -> list[str]:
     for move, texts in program.sends.items():
         amounts[move] += sum(float(match[1]) * 1e-3 for match in map(_EXTRUDES.fullmatch, texts) if match)
     sent = np.concatenate([[0.0], np.cumsum(amounts[:-1])])
-    first, last = deposits(t)
+    first, last = fed_spans(t)
     places = {True: iter(first), False: iter(last)}
     near = 2.0 * float(np.abs(np.diff(t.feed)).max(initial=0.0)) + AMOUNT
     worst = 0.0
@@ -151,7 +151,7 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
     asked = _asked(program, lengths)
     switched = [(move, trigger) for move in sorted(program.triggers) for trigger in program.triggers[move]]
     edges = [move if not trigger.from_start else move - 1 for move, trigger in switched]
-    first, last = deposits(t)
+    first, last = fed_spans(t)
     if len(edges) != 2 * len(first):
         return ["the extruder is not switched on and off once for each bead"]
     step = PERCENT * float(planned.max(initial=0.0))

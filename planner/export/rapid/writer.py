@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
+from planner.base.gcode_lines import time_of
 from planner.export.controllers import CONTROLLERS
 from planner.export.external import carrying_axes, external_axes, external_written
 from planner.export.fit import continuous, from_matrix
@@ -27,7 +28,6 @@ from planner.export.rapid.extruder import (
     LINE,
     OPEN,
     SETTLE,
-    WAITS,
     FlowDemand,
     SocketLine,
     demand_of,
@@ -150,7 +150,7 @@ def frames(plan: Plan) -> list[str]:
             comment("  " + pose_text(cell.T_world_base)),
             comment(f"Its axes: {', '.join(before)}."),
         ]
-    if cell.holder_robot is None:
+    if cell.station is None:
         frames = f'TRUE,"",{pose_text(cell.T_world_holder)},{identity}'
     else:
         axes = letters[len(before) :]
@@ -161,7 +161,7 @@ def frames(plan: Plan) -> list[str]:
             *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
             comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
         ]
-        if cell.holder_robot.inverse is not None:
+        if cell.station.inverse is not None:
             lines += [comment(text) for text in SECOND_ARM]
         # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
         frames = f'FALSE,"{names.station}",{identity},{on_plate}'
@@ -359,7 +359,8 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
 
     Zones that meet leave no trace of the corner in the speed, and a controller cuts those to half of a move that reach
     beyond (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed). Between a joint move and a line
-    at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end there.
+    at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end there. None is
+    larger than the problem has it.
     """
     reach, bend = corners(moves.segments)
     half, bend = 0.5 * reach[1:], bend[1:]
@@ -371,6 +372,7 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
     usual = np.where((names.index("z0") > usual) & (most >= np.minimum(half, ZONES["z0"])), names.index("z0"), usual)
     mixed = np.append(moves.linear[1:], moves.linear[-1]) != moves.linear
     usual = np.where(mixed, np.minimum(usual, names.index("z0")), usual)
+    usual = np.minimum(usual, names.index(plan.problem.program.largest_zone))
     return ["fine" if fine else names[k] for fine, k in zip(moves.fine.tolist(), usual.tolist(), strict=True)]
 
 
@@ -392,12 +394,18 @@ def _resting(waits: Sequence[Wait], sent: Sequence[tuple[int, SocketLine]]) -> l
         steps.append((clock, -1, []))
     settle = f"        {SETTLE} {LATEST};"
     heats = False
+    over: float | None = None  # when the board has done what it acknowledges at its end
     for n, line in sent:
         before = [settle] if heats and not line.text.startswith(HEATS) else []
         heats = line.text.startswith(HEATS)
-        steps.append((min(line.after, clock), 1, [*before, f'        {LINE} {n},"{line.text}";']))
-    if any(line.text.startswith(WAITS) for _, line in sent):
-        steps.append((clock, 2, [settle]))
+        at, pauses = min(line.after, clock), time_of([line.text])
+        steps.append((at, 1, [*before, f'        {LINE} {n},"{line.text}";']))
+        if pauses:
+            over = min(max(at, over or 0.0) + pauses, clock)
+        elif heats:
+            over = clock
+    if over is not None:
+        steps.append((over, 2, [settle]))
     out: list[str] = []
     now = 0.0
     for at, _, statements in sorted(steps, key=lambda step: step[:2]):
@@ -565,7 +573,7 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
     names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
     joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
     external = external_text(external_written(cell, start[:, cell.besides]))[0]
-    station = [] if cell.holder_robot is None else [names.station]
+    station = [] if cell.station is None else [names.station]
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]

@@ -16,14 +16,17 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Complaint, InputError
 from planner.problem import Problem
+from planner.problem.curve_files import read_curves
 from planner.problem.drawings import (
     CurvesSpec,
     DxfSpec,
+    NurbsSpec,
     OnPartSpec,
     PatternSpec,
     ProjectedCurvesSpec,
     ProjectedDrawingSpec,
     ProjectedDxfSpec,
+    ProjectedNurbsSpec,
     ProjectedPatternSpec,
     SvgSpec,
 )
@@ -65,6 +68,7 @@ from planner.toolpath.substrate.clipping import (
     trim_curve,
 )
 from planner.toolpath.substrate.curved_facets import CREASE
+from planner.toolpath.substrate.falling import fallen
 from planner.toolpath.substrate.mesh_surface import FacetTree
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, Part, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
@@ -82,6 +86,11 @@ _EDGE_ROUNDS = 5  # of cutting paths where edges keep surfaces from being smooth
 _FROM_EDGES, _LEAST_FROM_EDGES = 2.0, 1e-3  # bead widths and m from an edge at which paths are cut
 _BEFORE_EDGES = 0.8  # of that: so far beside paths the surface is known
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
+
+
+ProjectedSpec = (
+    ProjectedDrawingSpec | ProjectedDxfSpec | ProjectedPatternSpec | ProjectedCurvesSpec | ProjectedNurbsSpec
+)
 
 
 @dataclass(frozen=True)
@@ -183,9 +192,7 @@ class Substrate:
         ]
 
 
-def project_curves(
-    problem: Problem, spec: ProjectedDrawingSpec | ProjectedDxfSpec | ProjectedPatternSpec | ProjectedCurvesSpec
-) -> Toolpath:
+def project_curves(problem: Problem, spec: ProjectedSpec) -> Toolpath:
     """Round the corners of plane paths, order them and lay their layers on the part.
 
     Raises InputError where more of the paths cannot be printed than may be left out, and for a part that nothing can be
@@ -218,7 +225,7 @@ def project_curves(
 
 def _plane_curves(
     problem: Problem,
-    spec: ProjectedDrawingSpec | ProjectedDxfSpec | ProjectedPatternSpec | ProjectedCurvesSpec,
+    spec: ProjectedSpec,
     most: float,
 ) -> tuple[Substrate, Clipped, list[PlaneCurve]]:
     """The part and the rounded curves on it, and what was cut from them; TooMuchCut beyond a share `most` of the length."""
@@ -227,7 +234,8 @@ def _plane_curves(
         raise problem.error("part", "is missing", f"the body to project onto: {' or '.join(spec.bodies)}")
     width, least = process.bead.width, np.cos(np.radians(STEEPEST))
     paths, told = paths_and_notes(problem, source)
-    clipped = replace(Clipped.of([placed(path, spec) for path in paths], width), told=told)
+    plane = fallen(problem, spec, exact_body(part), [placed(path, spec) for path in paths])
+    clipped = replace(Clipped.of(plane, width), told=told)
     clipped.check(most)
     check_curves(problem, [path.points for path in clipped.paths], spec.count, size_key(source))
     body, clipped = _body(problem, part, clipped, most)
@@ -269,25 +277,36 @@ def _laid(substrate: Substrate, rows: Sequence[Sequence[PlaneCurve]], width: flo
     return Toolpath(tuple(beads), grown, body.shape(), notes, body.facets.corners, told=Told(off=body.told_gap))
 
 
-def size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> str:
+def size_key(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec) -> str:
     """The field that says how large plane curves are."""
     if isinstance(source, CurvesSpec):
         return "layers.source.curves"
+    if isinstance(source, NurbsSpec):
+        return "layers.source.nurbs"
     return "layers.source.width_mm" if isinstance(source, (SvgSpec, DxfSpec)) else "layers.source.size_mm"
 
 
-def paths_of(problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> tuple[PlanePath, ...]:
-    """The paths alone of `paths_and_notes`."""
-    return paths_and_notes(problem, source)[0]
+def paths_of(
+    problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec
+) -> tuple[PlanePath, ...]:
+    """The paths alone of `paths_and_notes`; of curves in space what is seen from above."""
+    paths = paths_and_notes(problem, source)[0]
+    return tuple(replace(path, points=np.ascontiguousarray(path.points[:, :2])) for path in paths)
 
 
 def paths_and_notes(
-    problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec
+    problem: Problem, source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec
 ) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
-    """The plane paths of a source, and what is told of its file. Raises InputError for one that gives none."""
+    """The paths of a source, (n, 2) or of curves in space (n, 3), and what is told of its file.
+
+    Raises InputError for one that gives none.
+    """
     process = problem.process
     if isinstance(source, CurvesSpec):
-        return nurbs_paths(problem, source), ()
+        return nurbs_paths(source.curves, lambda i: partial(problem.error, f"layers.source.curves.{i}")), ()
+    if isinstance(source, NurbsSpec):
+        where = partial(problem.error, "layers.source.nurbs")
+        return nurbs_paths(read_curves(source.nurbs, where), lambda _: where), ()
     if isinstance(source, DxfSpec):
         return read_dxf(source, process.chord_tolerance, partial(problem.error, "layers.source.dxf"))
     if isinstance(source, SvgSpec):
@@ -301,9 +320,10 @@ def paths_and_notes(
 
 
 def placed(path: PlanePath, spec: OnPartSpec) -> PlanePath:
-    """A path turned and moved to its place above the part."""
+    """A path turned about the vertical and moved in x and y to its place above the part."""
     c, s = np.cos(spec.turn), np.sin(spec.turn)
-    points = path.points @ np.array([[c, s], [-s, c]]) + np.asarray(spec.centre)
+    points = path.points.copy()
+    points[:, :2] = path.points[:, :2] @ np.array([[c, s], [-s, c]]) + np.asarray(spec.centre)
     if path.closed:
         points[-1] = points[0]
     return replace(path, points=points)

@@ -92,6 +92,22 @@ def feet(level: Level, tips: Array, rise: Array) -> tuple[Array, Array, Array]:
     return foot, value / np.linalg.norm(gradient, axis=1), _unit(gradient)
 
 
+def nearest_on(level: Level, points: Array) -> Array:
+    """Places (n, 3) of a surface nearest to points (n, 3), by steps onto it and along it towards the point's perpendicular."""
+    foot = points.copy()
+    for _ in range(_STEPS * _STEPS):
+        value, gradient = level(foot)
+        square = (gradient**2).sum(axis=1)
+        normal = gradient / np.sqrt(np.maximum(square, 1e-300))[:, None]
+        off = points - foot
+        aside = off - (off * normal).sum(axis=1)[:, None] * normal
+        step = 0.5 * aside - (value / np.maximum(square, 1e-300))[:, None] * gradient
+        foot = foot + step
+        if np.abs(step).max(initial=0.0) < _CLOSE:
+            break
+    return foot
+
+
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
 

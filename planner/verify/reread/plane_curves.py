@@ -6,6 +6,7 @@ nothing here knows how the planner reads them. Lengths are metres; x to the righ
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.problem.drawings import CurveSpec, CurvesSpec, DxfSpec, PatternSpec, SvgSpec
+from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec, SvgSpec
 
 _STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
 _FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
@@ -41,8 +42,8 @@ def gone(error: OSError) -> NotRead:
     return NotRead(f"{Path(error.filename or '').name}: {error.strerror}")
 
 
-def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> Curves | NotRead:
-    """Lines (n, 2) [m] of a source, chords within a hundredth of a millimetre of its curves."""
+def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec) -> Curves | NotRead:
+    """Lines (n, 2), or of curves in space (n, 3), of a source [m], chords within a hundredth of a millimetre of its curves."""
     try:
         if isinstance(source, SvgSpec):
             stamp = source.svg.stat()
@@ -50,11 +51,13 @@ def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec) -> Curves |
         if isinstance(source, DxfSpec):
             stamp = source.dxf.stat()
             return _dxf(source.dxf, source.width, source.unit, source.layers, stamp.st_mtime_ns, stamp.st_size)
+        if isinstance(source, NurbsSpec):
+            return _nurbs_file(source.nurbs)
     except OSError as error:
         return gone(error)
     if isinstance(source, PatternSpec):
         return _PATTERNS[source.pattern](source)
-    return tuple(_nurbs(curve) for curve in source.curves)
+    return tuple(_nurbs(each.degree, np.asarray(each.points), each.weights, each.knots) for each in source.curves)
 
 
 @lru_cache(maxsize=4)
@@ -218,28 +221,41 @@ _PATTERNS: dict[str, Callable[[PatternSpec], Curves]] = {
 }
 
 
-def _nurbs(spec: CurveSpec) -> Array:
-    """Points (n, 2) of a rational B-spline curve, by de Boor's recursion in homogeneous coordinates."""
-    p, points = spec.degree, np.asarray(spec.points)
-    weights = np.ones(len(points)) if spec.weights is None else np.asarray(spec.weights)
-    if spec.knots is None:
+def _nurbs_file(path: Path) -> Curves | NotRead:
+    """The curves of a JSON file, by Python's own reader."""
+    try:
+        listed = json.loads(path.read_text(encoding="utf-8-sig"))["curves"]
+        return tuple(
+            _nurbs(each["degree"], np.array(each["points_mm"]) * 1e-3, each.get("weights"), each.get("knots"))
+            for each in listed
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        return NotRead(f"{path.name} holds no curves: {error}")
+
+
+def _nurbs(p: int, points: Array, given: Sequence[float] | None, breaks: Sequence[float] | None) -> Array:
+    """Points (n, 2 or 3) of a rational B-spline curve of degree p, by de Boor's recursion in homogeneous coordinates; with
+    its weights and knots, where they are given."""
+    weights = np.ones(len(points)) if given is None else np.asarray(given, dtype=float)
+    if breaks is None:
         knots = np.concatenate([np.zeros(p), np.linspace(0.0, 1.0, len(points) - p + 1), np.ones(p)])
     else:
-        knots = np.asarray(spec.knots, dtype=float)
+        knots = np.asarray(breaks, dtype=float)
     control = np.column_stack([points * weights[:, None], weights])
     return np.concatenate(list(_spans(knots, control, p)))
 
 
 def _spans(knots: Array, control: Array, p: int) -> Iterator[Array]:
-    """Points of each span between different knots, both ends included; control (n, 3): weight times x and y, and weight."""
+    """Points of each span between different knots, both ends included; control (n, 3 or 4): weight times x, y and in space
+    z, and weight."""
     for k in range(p, len(control)):
         if knots[k + 1] <= knots[k]:
             continue
         u = np.linspace(knots[k], knots[k + 1], _SPANS + 1)[:, None]
-        d = [np.broadcast_to(control[k - p + j], (len(u), 3)) for j in range(p + 1)]
+        d = [np.broadcast_to(control[k - p + j], (len(u), control.shape[1])) for j in range(p + 1)]
         for level in range(1, p + 1):
             for j in range(p, level - 1, -1):
                 low, high = knots[k - p + j], knots[k + 1 + j - level]
                 share = (u - low) / (high - low)
                 d[j] = (1.0 - share) * d[j - 1] + share * d[j]
-        yield d[p][:, :2] / d[p][:, 2:]
+        yield d[p][:, :-1] / d[p][:, -1:]

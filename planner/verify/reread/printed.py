@@ -29,7 +29,7 @@ from planner.verify.reread.core import core
 from planner.verify.reread.faces import faces
 from planner.verify.reread.facets import facets_of
 from planner.verify.reread.lines import distances_from_lines, dots_of_lines
-from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
+from planner.verify.reread.part_surface import distances_from_facets, feet, level_of, nearest_on
 from planner.verify.reread.places import (
     APART,
     AXIS,
@@ -155,8 +155,11 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
     if isinstance(drawn, NotRead):
         yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
         return
-    plane = _in_the_plane(judged, part, places)
     lines = [line for line in drawn if len(line) > 1]
+    if isinstance(layers, ProjectedLayersSpec) and (layers.project != "z" or any(len(line.T) == 3 for line in lines)):
+        lines, plane = _fallen(layers, part, lines, _feet_of(judged, layers, part, places))
+    else:
+        plane = _in_the_plane(judged, part, places)
     limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
@@ -216,26 +219,53 @@ def _near(points: Array, dots: Array, which: Ints, length: Array | None) -> Iter
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
     """Where tips lie in the plane of the drawing (n, 2) [m]."""
     layers = judged.problem.layers
-    if not isinstance(layers, ProjectedLayersSpec):
-        cylinder = part.cylinder
-        if cylinder is None:
-            raise TypeError("only cylinders are wrapped around")
-        x, y, z = (places.tip - [*cylinder.centre, 0.5 * cylinder.height]).T
-        return np.column_stack([cylinder.radius * np.arctan2(y, x), z])
+    if isinstance(layers, ProjectedLayersSpec):
+        c, s = np.cos(layers.turn), np.sin(layers.turn)
+        foot = _feet_of(judged, layers, part, places)[:, :2]
+        return np.asarray((foot - np.asarray(layers.centre)) @ np.array([[c, -s], [s, c]]))
+    cylinder = part.cylinder
+    if cylinder is None:
+        raise TypeError("only cylinders are wrapped around")
+    x, y, z = (places.tip - [*cylinder.centre, 0.5 * cylinder.height]).T
+    return np.column_stack([cylinder.radius * np.arctan2(y, x), z])
+
+
+def _feet_of(judged: Judged, layers: ProjectedLayersSpec, part: PartSpec, places: Places) -> Array:
+    """Places (n, 3) of the part below tips, as layers grow on it [m]."""
     rise = np.asarray((places.layer + 1.0) * layers.height, dtype=float)
     level = level_of(part)
     if layers.offset == "z":
-        foot = places.tip
-    elif level is not None:
-        foot = feet(level, places.tip, rise)[0]
-    else:  # of files, the toolpath's own normals say which way layers grow
-        foot = np.empty_like(places.tip)
-        for bead, own in by_number(places.bead):
-            laid, at = judged.toolpath.beads[bead], judged.trajectory.s[places.sample[own]]
-            normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
-            foot[own] = places.tip[own] - rise[own, None] * normal
+        return np.asarray(places.tip - rise[:, None] * [0.0, 0.0, 1.0])
+    if level is not None:
+        return feet(level, places.tip, rise)[0]
+    foot = np.empty_like(places.tip)  # of files, the toolpath's own normals say which way layers grow
+    for bead, own in by_number(places.bead):
+        laid, at = judged.toolpath.beads[bead], judged.trajectory.s[places.sample[own]]
+        normal = np.column_stack([np.interp(at, laid.s, laid.normals[:, k]) for k in range(3)])
+        foot[own] = places.tip[own] - rise[own, None] * normal
+    return foot
+
+
+def _fallen(
+    layers: ProjectedLayersSpec, part: PartSpec, lines: Sequence[Array], foot: Array
+) -> tuple[list[Array], Array]:
+    """Lines (k, 2) of curves in space (k, 3), or (k, 2) in the plane z = 0, and feet of tips (n, 3), in one plane (n, 2).
+
+    It is square to the direction in which curves fall. Those that fall along normals are brought to their nearest places
+    first, and seen from above.
+    """
     c, s = np.cos(layers.turn), np.sin(layers.turn)
-    return (foot[:, :2] - np.asarray(layers.centre)) @ np.array([[c, -s], [s, c]])
+    there = []
+    for line in lines:
+        z = line[:, 2] if line.shape[1] == 3 else np.zeros(len(line))
+        there.append(np.column_stack([line[:, :2] @ np.array([[c, s], [-s, c]]) + np.asarray(layers.centre), z]))
+    level = level_of(part)
+    if layers.project == "normal" and level is not None:
+        there = [nearest_on(level, line) for line in there]
+    axes = np.eye(3)[:2]
+    if layers.direction is not None:
+        axes = np.linalg.svd(np.array([layers.direction]))[2][1:]
+    return [line @ axes.T for line in there], foot @ axes.T
 
 
 def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array], near: float, count: int) -> Check:

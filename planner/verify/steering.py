@@ -1,0 +1,71 @@
+"""How tightly a fibre is steered: the least radius of its executed path within the surface that it lies on.
+
+A tow that lies on a curved surface bends with it; what its fibres do not follow is to be bent sideways, within the
+surface. The measure of that is the geodesic curvature, n · (x' × x'') of the executed tip x by its arc length, n the
+surface's normal: 0 along a geodesic, 1 / R along a circle of radius R on a plane. A tow is as wide as it is, so that it
+follows nothing shorter: derivatives are those of the parabolas that fit the tip best over SPAN tow widths, which is also
+what noise of an input leaves alone. A corner that was rounded shows as the radius that turns as much over that length.
+
+Run-in and run-out lay nothing and are not judged. Lengths are in metres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
+from planner.verify.checks import Findings, Judged, check_least
+
+SPAN = 4.0  # tow widths, over which curvature is found: a tow follows nothing shorter
+STRAIGHT = 10.0  # m: radii are told apart up to this one
+_STEPS = 40  # places on that length at which the tip is looked at
+_STILL = 1e-7  # m: samples nearer to each other are one place, as where the nozzle rests
+_FEWEST = 5  # places on a bead
+_LEAST_SPEED = 1e-6  # of the tip by its arc length, which is 1 but in a path that doubles back
+
+
+def geodesic_curvature(tip: Array, normals: Array, span: float) -> Array:
+    """Geodesic curvature (n) [1/m], found over a length `span` [m], of a path of tips (n, 3) [m] on a surface with unit
+    normals (n, 3): positive where it bends to the left as seen from outside. Of a shorter path, over all of it; 0 of one
+    that stands still.
+    """
+    s = arc_lengths(tip)
+    moved = np.flatnonzero(np.diff(s, prepend=-1.0) > _STILL)
+    length = float(s[-1])
+    if len(moved) < 3 or length <= _STILL:
+        return np.zeros(len(tip))
+    span = min(span, length)
+    count = max(round(_STEPS * length / span), _FEWEST) + 1
+    even, step = np.linspace(0.0, length, count, retstep=True)
+    window = min(2 * round(0.5 * span / step) + 1, count - 1 + count % 2)
+    points, up = (
+        np.stack([np.interp(even, s[moved], of[moved, k]) for k in range(3)], axis=1) for of in (tip, normals)
+    )
+    along, bend = (savgol_filter(points, window, 2, deriv=k, delta=float(step), axis=0) for k in (1, 2))
+    half = window // 2
+    within = slice(
+        half, max(count - half, half + 1)
+    )  # towards the ends it is that of the first and the last whole span
+    level = np.cross(along[within], bend[within])
+    curvature = (level * up[within]).sum(axis=1) / np.maximum(np.linalg.norm(along[within], axis=1), _LEAST_SPEED)
+    return np.asarray(np.interp(s, even[within], curvature))
+
+
+def steering(judged: Judged) -> Findings:
+    """The least radius of steering of all beads of fibre, and where the problem bounds it, the check."""
+    process, t, toolpath = judged.problem.process, judged.trajectory, judged.toolpath
+    if process.section != "fibre":
+        return Findings()
+    radius = np.full(len(t), STRAIGHT)
+    for i, (at, bead) in enumerate(zip(judged.samples, toolpath.beads, strict=True)):
+        if len(at) < _FEWEST:
+            continue  # the coverage check names this bead
+        tip = judged.drawn_tip[at]
+        normals = toolpath.surface.normals_on(i, t.s[at], tip)
+        curvature = np.abs(geodesic_curvature(tip, normals, SPAN * float(bead.width.max())))
+        radius[at] = 1.0 / np.maximum(curvature, 1.0 / STRAIGHT)
+    limit = None if process.fibre is None else process.fibre.least_radius
+    found = check_least(t, "steering radius of the fibre", radius * 1e3, 1e3 * (limit or 0.0), "mm")
+    return Findings(() if limit is None else (found,), {"steering_radius_min_mm": found.worst})
