@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from planner.base.arrays import Array
 from planner.export.fit import lerp
 from planner.export.player.model import MotionModel
-from planner.export.player.path import TICK
+from planner.export.player.path import TICK, lagging_both_ways
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
 
@@ -66,9 +65,4 @@ def followed(q: Array, lag: float, tick: float) -> Array:
     if lag <= 0.0 or len(q) < 3:
         return q
     keep = np.exp(-tick / lag)
-    way = q - q[0]
-    late, _ = lfilter([1.0 - keep], [1.0, -keep], way, axis=0, zi=keep * way[:1])
-    back = late[::-1] - late[-1]
-    early, _ = lfilter([1.0 - keep], [1.0, -keep], back, axis=0, zi=keep * back[:1])
-    out: Array = early[::-1] + late[-1] + q[0]
-    return out
+    return lagging_both_ways(q - q[0], float(keep)) + q[0]
