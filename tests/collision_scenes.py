@@ -128,7 +128,7 @@ def look(problem: Problem, cell: Cell, toolpath: Toolpath, pieces: list[Piece], 
         np.zeros((n, 3)), np.zeros(n, dtype=np.int8), zeros, zeros, zeros, zeros,
     )  # fmt: skip
     motion = executed_motion(cell, whole)
-    whole = replace(whole, tip=motion.tip, axis=motion.axis)
+    whole = replace(whole, tip=motion.tip.copy(), axis=motion.axis)  # frozen ones would compile checks once more
     body = print_body(toolpath, standing(cell))
     apart = sweep_cell(problem, cell, toolpath, whole, body)
     judged = Judged(problem, cell, toolpath, whole, motion, body)

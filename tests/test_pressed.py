@@ -37,7 +37,8 @@ def bead_along(x: float, z: float, lean: float = 0.0, count: int = 60) -> tuple[
 def judged_of(*beads: tuple[Array, Array]) -> Judged:
     """What `deepest` looks at, of beads that are laid one after the other."""
     tip, axis = (np.concatenate([each[k] for each in beads]) for k in (0, 1))
-    number = np.repeat(np.arange(len(beads)), [len(each[0]) for each in beads])
+    number = np.repeat(np.arange(len(beads), dtype=np.int32), [len(each[0]) for each in beads])
+    number.setflags(write=False)  # as a trajectory's, and the axis part of the rotation: compiled once
     s = np.concatenate([STEP * np.arange(len(each[0])) for each in beads])
     side = np.cross([0.0, 1.0, 0.0], axis)
     rotation = np.stack([side, np.cross(axis, side), axis], axis=-1)
@@ -54,7 +55,7 @@ def judged_of(*beads: tuple[Array, Array]) -> Judged:
     t = SimpleNamespace(
         deposit=np.ones(len(tip), dtype=bool), bead=number, s=s, first_bead=0, t=0.01 * np.arange(len(tip))
     )
-    motion = SimpleNamespace(tip=tip, axis=axis, rotation=rotation)
+    motion = SimpleNamespace(tip=tip, axis=rotation[:, :, 2], rotation=rotation)
     made: Any = SimpleNamespace(
         problem=load_problem("peer_cap"), trajectory=t, motion=motion, toolpath=toolpath, cell=None, body=None
     )

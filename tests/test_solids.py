@@ -127,7 +127,8 @@ def ask(
     tree: PointTree, pack: Packed, now: float, enough: float, clearance: float, tip: Array, slope: float, slack: float
 ) -> tuple[float, int]:
     solid, rule = SolidNumbers(pack.kind[0], pack.size[0], pack.planes), TipRule(clearance, slope, slack)
-    return nearest_point(tree.arrays, solid, pack.T_solid_frame[0], tip, rule, now, enough, search_room())
+    T, tip = np.array(pack.T_solid_frame[0]), np.array(tip)  # of the types in use: compiled once
+    return nearest_point(tree.arrays, solid, T, tip, rule, now, enough, search_room())
 
 
 @given(

@@ -188,7 +188,7 @@ def run_follow(
         np.full((n, 3, 2), nan), np.full((n, 3, 2, m), nan),
     )  # fmt: skip
     task = [np.array(each) for each in (tip, frames, -frames[:, :, 2] if normals is None else normals)]
-    for each in task:
+    for each in task[:2]:
         each.setflags(write=False)  # as a task's are: `follow` need not be compiled twice
     out.lost = follow(
         model.numbers, model.holder, model.given, *task, z, np.arange(m),

@@ -34,7 +34,9 @@ def even_speeds(length: Array, took: Array, group: Indices, usual: Array, least:
     brief = np.bincount(group, weights=took)[group] < BRIEF * TIME_TOLERANCE
     quicker = max(1.0, float((length[own] / took[own] / usual[own]).max(initial=0.0)))
     kept = np.where(own & brief, -1, group)
-    return _even_speeds(length, took, kept, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * quicker))
+    return _even_speeds(
+        length, np.ascontiguousarray(took), kept, usual, SpeedRules(least, TIME_TOLERANCE, CATCHING_UP * quicker)
+    )
 
 
 class SpeedRules(NamedTuple):
