@@ -111,7 +111,8 @@ def imports_of(path: Path) -> list[Import]:
                 walk(child, typing_only)
             return
         for child in ast.iter_child_nodes(node):
-            walk(child, typing_only)
+            if not isinstance(child, ast.expr):  # no import stands in one
+                walk(child, typing_only)
 
     walk(tree(path), False)
     return out
