@@ -154,6 +154,10 @@ def tawfik() -> tuple[PaperFigure, ...]:
         *(PaperFigure(name, "NURBS", "degree 2, 4 points", _curves) for name in bent),
         *(PaperFigure(name, "feed, mm/min", 300.0, lambda r: 6e4 * r.problem.process.speed) for name in every),
         *(PaperFigure(name, "nozzle, °C", 280.0, "process.start.nozzle_c") for name in every),
+        *(PaperFigure(name, "heating", "wait", "process.start.heat") for name in every),
+        *(PaperFigure(name, "lines of G-code through", "socket", "program.style") for name in every),
+        *(PaperFigure(name, "tangent and chord, °", 45.0, "program.tangent_deg") for name in every),
+        *(PaperFigure(name, "chord off the curve, mm", 1.0, "program.chord_mm") for name in every),
         *(PaperFigure(name, "rest at the cut, s", 3.0, "process.fibre.cut_wait_s") for name in every),
     )
 
