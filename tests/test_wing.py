@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.section import AerofoilSection, TooUneven, naca_section, parallels, section_through
@@ -40,6 +41,17 @@ def supported() -> Toolpath:
 def section_of(digits: str, chord: float) -> AerofoilSection:
     points = naca_section(digits)
     return section_through(chord * points, int(np.argmin(np.linalg.norm(points, axis=1))))
+
+
+@pytest.mark.parametrize("name", ["naca0015_wing", "naca0015_wing_tapered"])
+def test_material_and_heat_are_the_papers(name: str) -> None:
+    """Arigela et al., table 3: black PLA on yellow PLA, at 195 and 70 deg C, by motors that are on or off."""
+    layers, process = load_problem(name).layers, load_problem(name).process
+    assert isinstance(layers, AerofoilLayersSpec) and layers.support is not None
+    assert (layers.material, layers.support.material) == ("black_pla", "yellow_pla")
+    assert {process.nozzle_c(material) for material in process.materials} == {195.0}
+    assert (process.start.bed_c, process.start.heat, process.extruder.motor) == (70.0, "wait", "on_off")
+    assert process.fan is not None and process.fan.from_layer == 1
 
 
 # Sections and their parallels

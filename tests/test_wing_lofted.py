@@ -293,8 +293,9 @@ def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
 
 @pytest.mark.slow
 def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
-    """naca0015_wing names them: pva that can be washed off, and pla."""
-    assert {bead.name.split()[0]: bead.material for bead in planar.beads} == {"support": "pva", "layer": "pla"}
+    """naca0015_wing names them: yellow and black, as in the paper."""
+    found = {bead.name.split()[0]: bead.material for bead in planar.beads}
+    assert found == {"support": "yellow_pla", "layer": "black_pla"}
 
 
 # Scan lines
