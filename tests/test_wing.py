@@ -25,7 +25,7 @@ CHORD_LINE = 8.7016e-3
 
 
 def problem(*changes: str) -> Problem:
-    return load_problem("naca0015_wing", changes)
+    return load_problem("naca0015_wing", ("layers.passes=joined", *changes))
 
 
 @pytest.fixture(scope="module")
@@ -298,6 +298,21 @@ def test_a_supported_wing_lies_on_its_support(supported: Toolpath) -> None:
         assert gap.max() < 2.0 * HEIGHT
         if bead.layer != 17:
             assert gap == pytest.approx(HEIGHT, abs=1e-6)
+
+
+def test_passes_apart_are_those_of_a_zigzag() -> None:
+    """Each is a bead, in the same order and direction: the next begins beside the end of the last, one pass away."""
+    short = ("layers.source.span_mm=4", "layers.support=null", "layers.count=2")
+    apart, whole = build_toolpath(problem(*short, "layers.passes=apart")), build_toolpath(problem(*short))
+    for layer, bead in enumerate(whole.beads):
+        own = [each for each in apart.beads if each.layer == layer]
+        assert [each.name for each in own] == [f"{bead.name} pass {k}" for k in range(1, len(own) + 1)]
+        assert own[0].points[0] == pytest.approx(bead.points[0], abs=1e-9)
+        assert own[-1].points[-1] == pytest.approx(bead.points[-1], abs=1e-9)
+        gaps = [np.linalg.norm(b.points[0] - a.points[-1]) for a, b in zip(own[:-1], own[1:], strict=True)]
+        assert gaps == pytest.approx([own[0].width[0]] * len(gaps), rel=1e-3)
+        assert 0.85 < bead.length / (sum(each.length for each in own) + sum(gaps)) < 1.0, "but for rounded corners"
+    assert apart.surface.before(len(apart.beads)).signed_distance(np.array([[0.05, 2e-3, 0.0]])) == pytest.approx([0.0])
 
 
 def test_pieces_of_a_layer_are_laid_from_the_near_end_on(supported: Toolpath) -> None:
