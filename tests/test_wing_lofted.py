@@ -28,7 +28,7 @@ SHORT = ("layers.source.span_mm=10", "layers.source.tip={chord_mm: 70, sweep_mm:
 
 
 def problem(*changes: str) -> Problem:
-    return load_problem("naca0015_wing_tapered", (*SHORT, JOINED, *changes))
+    return load_problem("naca0015_wing_tapered", (*SHORT, JOINED, "layers.source.tilt_deg=45", *changes))
 
 
 @pytest.fixture(scope="module")
@@ -340,7 +340,7 @@ def _folder(tmp_path: Path) -> None:
     _FOLDER[:] = [tmp_path]
 
 
-TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 5, washout_deg: 1.5}'
+TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 15, washout_deg: 1.5}'
 MISTAKES = [
     (TIP, 'tip: {naca: "2412", aerofoil: a.dat, chord_mm: 60}', "layers.source.tip", "both", "one of them, or none"),
     (TIP, 'tip: {naca: "2412"}', "layers.source.tip.chord_mm", "is missing", "[mm]"),
@@ -389,5 +389,7 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
 @pytest.mark.slow
 def test_sides_that_never_meet_are_refused_at_once() -> None:
     with pytest.raises(InputError, match="lean so much") as caught:
-        build_toolpath(load_problem("naca0015_wing_tapered", ["layers.source.tip.chord_mm=6"]))
+        build_toolpath(
+            problem("layers.source.span_mm=14", "layers.source.tip={chord_mm: 6, sweep_mm: 5, naca: '2412'}")
+        )
     assert caught.value.field == "layers.source.tip"
