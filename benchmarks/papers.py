@@ -140,7 +140,10 @@ def arigela() -> tuple[PaperFigure, ...]:
         PaperFigure(wing, "support's infill", 0.5, "layers.support.infill"),
         PaperFigure(wing, "curved layers of the support", 2.0, "layers.support.curved"),
         PaperFigure(wing, "motor of the extruder", "on_off", "process.extruder.motor"),
+        PaperFigure(wing, "nozzle, °C", 195.0, "process.start.nozzle_c"),
+        PaperFigure(wing, "bed, °C", 70.0, "process.start.bed_c"),
         PaperFigure(tapered, "chord at the root, mm", 80.0, "layers.source.chord_mm"),
+        PaperFigure(tapered, "span, mm", 20.0, "layers.source.span_mm"),
     )
 
 
@@ -148,6 +151,7 @@ def tawfik() -> tuple[PaperFigure, ...]:
     """Tawfik et al."""
     bent = ("fibre_plane", "fibre_bowl")
     every = (*bent, "fibre_corrugated")
+    bowed = "such chords would leave a bent surface by more than the tow is thick"
     return (
         *(PaperFigure(name, "arm that prints", "irb1200_09", "cell.arm") for name in every),
         *(PaperFigure(name, "arm that holds", "irb1200_09", "cell.positioner.robot") for name in every),
@@ -157,9 +161,15 @@ def tawfik() -> tuple[PaperFigure, ...]:
         *(PaperFigure(name, "heating", "wait", "process.start.heat") for name in every),
         *(PaperFigure(name, "lines of G-code through", "socket", "program.style") for name in every),
         *(PaperFigure(name, "tangent and chord, °", 45.0, "program.tangent_deg") for name in every),
-        *(PaperFigure(name, "chord off the curve, mm", 1.0, "program.chord_mm") for name in every),
+        PaperFigure("fibre_plane", "chord off the curve, mm", 1.0, "program.chord_mm"),
+        *(PaperFigure(name, "chord off the curve, mm", 1.0, _chord, bowed) for name in every[1:]),
         *(PaperFigure(name, "rest at the cut, s", 3.0, "process.fibre.cut_wait_s") for name in every),
     )
+
+
+def _chord(rebuilt: Rebuilt) -> float:
+    """How far the program's moves may leave the curve [mm]."""
+    return 1e3 * rebuilt.problem.program.chord
 
 
 def _curves(rebuilt: Rebuilt) -> str:

@@ -2,15 +2,19 @@
 
 python -m benchmarks.wing
 python -m benchmarks.wing naca0015_wing_tapered
+python -m benchmarks.wing --flow --set layers.count=2 --set layers.support=null
 
 The time is length / commanded speed: what dips and travel add stands in the summary of `python -m planner.solve`.
+
+With --flow the print is planned, with its passes joined as one zig-zag and with each a bead of its own, and what a motor
+that is only on or off lays by the millimetre is told of both.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -19,6 +23,8 @@ from rich.table import Table
 from scipy.spatial import ConvexHull
 
 from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.plan import Plan
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -33,36 +39,64 @@ PAPER = {
     "curved layers of the support": 2.0,
 }
 
+WAYS = ("joined", "apart")
+
 
 def own_figures(problem: Problem, toolpath: Toolpath) -> dict[str, float]:
     """The figures of PAPER as the toolpath has them; infill is that of the first layer of each."""
     wing = [bead for bead in toolpath.beads if bead.name.startswith("layer")]
-    level = [b for b in toolpath.beads if not b.name.startswith("layer") and np.ptp(b.points[:, 2]) < 1e-9]
-    curved = {b.layer for b in toolpath.beads if not b.name.startswith("layer")} - {b.layer for b in level}
+    support = [bead for bead in toolpath.beads if not bead.name.startswith("layer")]
+    level = [bead for bead in support if (bead.normals == [0.0, 0.0, 1.0]).all()]
+    curved = {bead.layer for bead in support} - {bead.layer for bead in level}
     return {
         "layer height, mm": float(np.mean([bead.height.mean() for bead in wing])) * 1e3,
         "speed, mm/s": problem.process.speed * 1e3,
-        "infill of the wing, %": _filled(wing[0]),
-        "infill of the support, %": _filled(level[0]) if level else float("nan"),
+        "infill of the wing, %": _filled([bead for bead in wing if bead.layer == wing[0].layer]),
+        "infill of the support, %": _filled([b for b in level if b.layer == level[0].layer]) if level else float("nan"),
         "curved layers of the support": float(len(curved)),
     }
 
 
-def _filled(bead: Bead) -> float:
-    """Share of its layer that a bead covers [%]: its area over that of the hull of its places, half a width wider."""
-    width = float(bead.width.mean())
-    hull = ConvexHull(bead.points[:, :2])
+def _filled(beads: Sequence[Bead]) -> float:
+    """Share of its layer that beads cover [%]: their area over that of the hull of their places, half a width wider."""
+    width = float(beads[0].width.mean())
+    hull = ConvexHull(np.vstack([bead.points[:, :2] for bead in beads]))
     area = hull.volume + 0.5 * width * hull.area  # in two dimensions: area and circumference
-    return 100.0 * bead.length * width / (area * float((1.0 / bead.normals[:, 2]).mean()))
+    steep = float(np.mean(np.concatenate([1.0 / bead.normals[:, 2] for bead in beads])))
+    return 100.0 * sum(bead.length for bead in beads) * width / (area * steep)
+
+
+def even_flow(name: str, changes: Sequence[str]) -> Table:
+    """What flows by the millimetre with passes joined and apart; a plan that is not verified is told, too."""
+    table = Table("", *WAYS, title=f"{name}: a motor that is on or off")
+    plans = [solve(load_problem(name, [*changes, f"layers.passes={way}"]), baseline=False) for way in WAYS]
+    rows: list[tuple[str, Callable[[Plan], str]]] = [
+        ("beads", lambda plan: f"{plan.metrics['beads']:.0f}"),
+        ("millimetres with even flow, %", lambda plan: f"{100.0 * plan.metrics['even_flow_fraction']:.2f}"),
+        ("worst off the ends of beads, %", lambda plan: f"{100.0 * plan.metrics['flow_error_max']:.1f}"),
+        ("too much material, mm³", lambda plan: f"{plan.metrics['over_extruded_mm3']:.1f}"),
+        ("at speed, %", lambda plan: f"{100.0 * plan.metrics['at_speed_fraction']:.1f}"),
+        ("deposition, s", lambda plan: f"{plan.metrics['deposition_time_s']:.1f}"),
+        ("print, s", lambda plan: f"{plan.metrics['print_time_s']:.1f}"),
+        ("checks that fail", lambda plan: ", ".join(each.name for each in plan.checks if not each.ok) or "none"),
+    ]
+    for label, value in rows:
+        table.add_row(label, *(value(plan) for plan in plans))
+    return table
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.wing", description=__doc__)
     parser.add_argument("problem", nargs="?", default="naca0015_wing")
+    parser.add_argument("--flow", action="store_true", help="plan it, and tell what flows by the millimetre")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
+    console = Console(width=150)
     try:
+        if options.flow:
+            console.print(even_flow(options.problem, options.set))
+            return EXIT_VERIFIED
         problem = load_problem(options.problem, options.set)
         toolpath = build_toolpath(problem)
     except PlannerError as error:
@@ -71,7 +105,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not isinstance(problem.layers, AerofoilLayersSpec):
         print(f"error: {problem.name} is no wing", file=sys.stderr)
         return 2
-    console = Console(width=150)
     table = Table("", "paper", problem.name, title="Arigela et al.")
     for name, value in own_figures(problem, toolpath).items():
         table.add_row(name, f"{PAPER[name]:g}", f"{value:.4g}")
@@ -80,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for layer, group in groupby(toolpath.beads, key=lambda bead: bead.layer):
         beads = list(group)
         length = sum(bead.length for bead in beads)
-        name = beads[0].name.partition(" piece")[0]
+        name = beads[0].name.partition(" piece")[0].partition(" pass")[0]
         layers.add_row(f"{layer + 1}: {name}", str(len(beads)), f"{length * 1e3:.1f}", _time(length, problem))
     layers.add_row("all", str(len(toolpath.beads)), f"{toolpath.length * 1e3:.1f}", _time(toolpath.length, problem))
     console.print(layers)

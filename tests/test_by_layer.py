@@ -317,7 +317,7 @@ def test_a_print_that_is_resumed_has_the_pauses_that_are_left() -> None:
 
 def test_a_motor_that_is_on_or_off_runs_at_the_rate_of_each_bead() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        process = SPEED + SPEEDS + "  extruder: {motor: on_off}\n"
+        process = SPEED + SPEEDS + "  extruder: {motor: on_off, flow_tolerance: 10}\n"
         plan = solve_alone(load_problem(write_small(Path(folder), THREE, (SPEED, process))))
     assert plan.verified, failed(plan)
     t = plan.trajectory

@@ -363,7 +363,7 @@ def test_the_verifier_asks_the_problem(window: str, check: str) -> None:
         "  travel: upright\n  retract: {length_mm: 1}\n  prime: {length_mm: 1}\n",
         "  hand_over: motion\n",
         "  materials: {red: {}, blue: {}}\n",
-        "  extruder: {motor: on_off}\n",
+        "  extruder: {motor: on_off, flow_tolerance: 10}\n",
     ],
 )
 def test_a_window_beside_other_things_that_are_asked(process: str) -> None:

@@ -45,7 +45,7 @@ PROCESSES = {
     "start": (START,),
     "fibre": (FIBRE, "process.prime={speed_mm_s: 10}"),
     "fibre without a wait": ("process.fibre={cut_length_mm: 12, cut_wait_s: 0}",),
-    "on or off": ("process.extruder.motor=on_off",),
+    "on or off": ("process.extruder={motor: on_off, flow_tolerance: 10}",),
     "speed demand": ("process.extruder.motor=speed_demand",),
     "lag": ("process.extruder.lag_s=0.05",),
     "rounded": ("process.bead.section=rounded",),
@@ -56,7 +56,11 @@ PROCESSES = {
         "process.bead.section=rounded",
     ),
     "fibre, all": (FIBRE, START, "process.ramp_deg=45", "process.extruder.motor=speed_demand"),
-    "on or off, all": (RAMP, PRIME, START, "process.extruder.motor=on_off", "process.bead.section=rounded"),
+    "on or off, all": (
+        *(RAMP, PRIME, START),
+        "process.extruder={motor: on_off, flow_tolerance: 10}",
+        "process.bead.section=rounded",
+    ),
     "start and slow": (START, *SLOW),
 }
 FIBRES = [name for name in PROCESSES if name.startswith("fibre")]

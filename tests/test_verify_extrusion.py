@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import planner.planning.pipeline
 from planner.export.extruder import gcode
 from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
-from planner.problem import load_problem
+from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.verdict import Report, verify
 from tests.export_fixtures import with_board
@@ -307,7 +307,42 @@ def test_what_stands_in_a_lag_zone_is_not_weighed_and_what_stands_beyond_is() ->
 
 
 def on_off() -> Plan:
-    return solved("process.extruder.motor=on_off")
+    """Corners make it slow, so that only a wide tolerance of flow lets it pass."""
+    return solved("process.extruder={motor: on_off, flow_tolerance: 10}")
+
+
+def test_flow_of_a_switched_motor_is_judged_by_the_millimetre() -> None:
+    """The same print with the usual tolerance is not verified, and the place is told; a wider one is the user's."""
+    plan, usual = on_off(), load_problem_with("process.extruder.motor=on_off")
+    found = {check.name: check for check in report(replace(plan, problem=usual)).checks}
+    flow = found["flow per millimetre"]
+    assert (flow.ok, flow.limit) == (False, 0.1)
+    assert flow.worst == plan.metrics["flow_error_max"] > 0.1
+    assert flow.where.startswith("bead ") and flow.where.endswith(" mm")
+    assert {name for name, check in found.items() if not check.ok} == {"flow per millimetre"}
+    assert plan.metrics["even_flow_fraction"] == 1.0, "of a tolerance of ten times what a millimetre holds"
+
+
+def load_problem_with(*changes: str) -> Problem:
+    with tempfile.TemporaryDirectory() as folder:
+        return load_problem(write_small(Path(folder)), changes)
+
+
+def test_a_dip_of_a_switched_motor_is_caught() -> None:
+    """A print at speed everywhere passes; the same motion with a rest in the middle of a bead does not."""
+    straight = solved("process.extruder.motor=on_off", "process.speed_mm_s=4")
+    assert straight.verified, [check.name for check in straight.checks if not check.ok]
+    assert straight.metrics["flow_error_max"] < 0.1
+    assert straight.metrics["even_flow_fraction"] > 0.98
+    t, at = straight.trajectory, samples(straight, 1)
+    k = at[len(at) // 2]
+    rest = np.insert(np.arange(len(t)), k, np.full(100, k))
+    arrays = {field.name: getattr(t, field.name) for field in fields(t)}
+    stretched = {name: each[rest] for name, each in arrays.items() if isinstance(each, np.ndarray)}
+    more = np.cumsum(np.where(t.deposit[rest], 1.0, 0.0) * stretched["flow"]) * t.dt
+    own = {"t": np.arange(len(rest)) * t.dt, "extruded": more, "feed": more / area(straight)}
+    lasts = replace(t, **(stretched | own))
+    assert "flow per millimetre" in {check.name for check in report(straight, lasts).checks if not check.ok}
 
 
 def test_a_motor_that_is_on_or_off_lays_down_too_much_in_dips() -> None:

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.section import AerofoilSection, TooUneven, naca_section, parallels, section_through
@@ -24,7 +25,7 @@ CHORD_LINE = 8.7016e-3
 
 
 def problem(*changes: str) -> Problem:
-    return load_problem("naca0015_wing", changes)
+    return load_problem("naca0015_wing", ("layers.passes=joined", *changes))
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +41,17 @@ def supported() -> Toolpath:
 def section_of(digits: str, chord: float) -> AerofoilSection:
     points = naca_section(digits)
     return section_through(chord * points, int(np.argmin(np.linalg.norm(points, axis=1))))
+
+
+@pytest.mark.parametrize("name", ["naca0015_wing", "naca0015_wing_tapered"])
+def test_material_and_heat_are_the_papers(name: str) -> None:
+    """Arigela et al., table 3: black PLA on yellow PLA, at 195 and 70 deg C, by motors that are on or off."""
+    layers, process = load_problem(name).layers, load_problem(name).process
+    assert isinstance(layers, AerofoilLayersSpec) and layers.support is not None
+    assert (layers.material, layers.support.material) == ("black_pla", "yellow_pla")
+    assert {process.nozzle_c(material) for material in process.materials} == {195.0}
+    assert (process.start.bed_c, process.start.heat, process.extruder.motor) == (70.0, "wait", "on_off")
+    assert process.fan is not None and process.fan.from_layer == 1
 
 
 # Sections and their parallels
@@ -286,6 +298,21 @@ def test_a_supported_wing_lies_on_its_support(supported: Toolpath) -> None:
         assert gap.max() < 2.0 * HEIGHT
         if bead.layer != 17:
             assert gap == pytest.approx(HEIGHT, abs=1e-6)
+
+
+def test_passes_apart_are_those_of_a_zigzag() -> None:
+    """Each is a bead, in the same order and direction: the next begins beside the end of the last, one pass away."""
+    short = ("layers.source.span_mm=4", "layers.support=null", "layers.count=2")
+    apart, whole = build_toolpath(problem(*short, "layers.passes=apart")), build_toolpath(problem(*short))
+    for layer, bead in enumerate(whole.beads):
+        own = [each for each in apart.beads if each.layer == layer]
+        assert [each.name for each in own] == [f"{bead.name} pass {k}" for k in range(1, len(own) + 1)]
+        assert own[0].points[0] == pytest.approx(bead.points[0], abs=1e-9)
+        assert own[-1].points[-1] == pytest.approx(bead.points[-1], abs=1e-9)
+        gaps = [np.linalg.norm(b.points[0] - a.points[-1]) for a, b in zip(own[:-1], own[1:], strict=True)]
+        assert gaps == pytest.approx([own[0].width[0]] * len(gaps), rel=1e-3)
+        assert 0.85 < bead.length / (sum(each.length for each in own) + sum(gaps)) < 1.0, "but for rounded corners"
+    assert apart.surface.before(len(apart.beads)).signed_distance(np.array([[0.05, 2e-3, 0.0]])) == pytest.approx([0.0])
 
 
 def test_pieces_of_a_layer_are_laid_from_the_near_end_on(supported: Toolpath) -> None:

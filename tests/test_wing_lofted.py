@@ -23,11 +23,12 @@ from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, LoftedSide, Spa
 Array = NDArray[np.float64]
 HEIGHT = WIDTH = 0.5e-3
 SPAN = 10e-3
+JOINED = "layers.passes=joined"
 SHORT = ("layers.source.span_mm=10", "layers.source.tip={chord_mm: 70, sweep_mm: 4, washout_deg: 1, naca: '2412'}")
 
 
 def problem(*changes: str) -> Problem:
-    return load_problem("naca0015_wing_tapered", (*SHORT, *changes))
+    return load_problem("naca0015_wing_tapered", (*SHORT, JOINED, "layers.source.tilt_deg=45", *changes))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def planar() -> Toolpath:
     return build_toolpath(
         load_problem(
             "naca0015_wing",
-            ("layers.source.method=planar", "layers.support.curved=0", "layers.source.span_mm=4"),
+            ("layers.source.method=planar", "layers.support.curved=0", "layers.source.span_mm=4", JOINED),
         )
     )
 
@@ -120,7 +121,7 @@ def test_normals_are_those_of_the_surface(toolpath: Toolpath) -> None:
 @pytest.mark.slow
 def test_a_wing_without_taper_is_the_straight_one() -> None:
     """The lofted layers of the paper's wing lie on its straight ones: two ways to the same surfaces."""
-    short = ("layers.support=null", "layers.source.span_mm=4")
+    short = ("layers.support=null", "layers.source.span_mm=4", JOINED)
     straight = build_toolpath(load_problem("naca0015_wing", short))
     lofted = build_toolpath(load_problem("naca0015_wing", (*short, "layers.source.tip={chord_mm: 80}")))
     assert lofted.layers == straight.layers
@@ -293,11 +294,26 @@ def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
 
 @pytest.mark.slow
 def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
-    """naca0015_wing names them: pva that can be washed off, and pla."""
-    assert {bead.name.split()[0]: bead.material for bead in planar.beads} == {"support": "pva", "layer": "pla"}
+    """naca0015_wing names them: yellow and black, as in the paper."""
+    found = {bead.name.split()[0]: bead.material for bead in planar.beads}
+    assert found == {"support": "yellow_pla", "layer": "black_pla"}
 
 
 # Scan lines
+
+
+@pytest.mark.slow
+def test_passes_apart_are_those_of_a_zigzag(toolpath: Toolpath) -> None:
+    """Of sheets, too: the same passes without the turns, under the names of the zig-zags that they make up."""
+    apart = build_toolpath(problem("layers.support=null", "layers.passes=apart"))
+    assert apart.layers == toolpath.layers
+    for bead in toolpath.beads:
+        own = [each for each in apart.beads if each.name.partition(" pass ")[0] == bead.name]
+        assert len(own) > 1
+        assert 0.9 < sum(each.length for each in own) / bead.length < 1.1
+        assert all(each.layer == bead.layer and each.material == bead.material for each in own)
+        middle = np.array([each.points[len(each.points) // 2] for each in own])
+        assert distance_to_polyline(middle, bead.points).max() < 0.2e-3, "the tolerance of corners"
 
 
 def test_rows_are_linked_where_one_faces_one() -> None:
@@ -324,7 +340,7 @@ def _folder(tmp_path: Path) -> None:
     _FOLDER[:] = [tmp_path]
 
 
-TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 5, washout_deg: 1.5}'
+TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 15, washout_deg: 1.5}'
 MISTAKES = [
     (TIP, 'tip: {naca: "2412", aerofoil: a.dat, chord_mm: 60}', "layers.source.tip", "both", "one of them, or none"),
     (TIP, 'tip: {naca: "2412"}', "layers.source.tip.chord_mm", "is missing", "[mm]"),
@@ -373,5 +389,7 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
 @pytest.mark.slow
 def test_sides_that_never_meet_are_refused_at_once() -> None:
     with pytest.raises(InputError, match="lean so much") as caught:
-        build_toolpath(load_problem("naca0015_wing_tapered", ["layers.source.tip.chord_mm=6"]))
+        build_toolpath(
+            problem("layers.source.span_mm=14", "layers.source.tip={chord_mm: 6, sweep_mm: 5, naca: '2412'}")
+        )
     assert caught.value.field == "layers.source.tip"

@@ -220,7 +220,14 @@ METRICS: dict[str, Measure] = {
     "flow_error_max": Measure(
         "",
         "how far the material in a millimetre of a bead is off what it holds, at most",
-        "what leaves the nozzle, lag included, over each millimetre, as a share; not in the lag zone",
+        "what leaves the nozzle, lag included, over each millimetre, as a share; not in the lag zone, and with on_off not in "
+        "a bead's first and last 2 mm",
+    ),
+    "even_flow_fraction": Measure(
+        "",
+        "share of all millimetres of beads, their ends included, whose material is within process.extruder.flow_tolerance",
+        "as flow_error_max, a millimetre beginning at each quarter of one",
+        ONLY_SWITCHED,
     ),
     "extruded_volume_mm3": Measure("mm3", "material that is laid", "sum of flow over time"),
     "steering_radius_min_mm": Measure(
@@ -377,9 +384,9 @@ CHECKS: dict[str, Measure] = {
     ),
     "flow per millimetre": Measure(
         "of what a millimetre holds",
-        "every millimetre of a bead has the material that it holds",
+        "every millimetre of a bead has the material that it holds, within 0.5 %; with process.extruder.motor on_off within "
+        "process.extruder.flow_tolerance",
         "see flow_error_max",
-        ONLY_MOTOR,
     ),
     "filament fed": Measure(
         "of what one sample lays down",

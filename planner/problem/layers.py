@@ -67,6 +67,7 @@ DIRECTION_NAMES: tuple[str, ...] = get_args(DirectionName)
 ShareName = Literal["purge", "skirt", "brim", "support", "ironing"]
 SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
+PASSES = ("joined", "apart")
 METHODS = ("curved", "planar")
 _POINTS = "file of the section's points, counted from the folder of the problem file"
 
@@ -337,6 +338,12 @@ class AerofoilLayersSpec(Section):
     )
     height: Thickness = key("height_mm", "height of a layer [mm]")
     support: SupportSpec | None = key("support", "what is printed under the wing; default: none, it is there", None)
+    passes: Annotated[str, one_of(PASSES)] = key(
+        "passes",
+        "joined: each layer, or piece of one, as one zig-zag bead; apart: each pass of it as a bead of its own, the extruder "
+        "off in the turns",
+        "joined",
+    )
     material: MaterialName | None = material_key("the wing")
 
 

@@ -98,12 +98,24 @@ class ExtruderSpec(Section):
     lag: Annotated[float, Quantity("s", 0, 2)] = key(
         "lag_s", "time by which flow lags the motor, which then runs ahead (pressure advance) [s]", 0
     )
+    flow_tolerance: Annotated[float, Quantity("", 0.005, 10)] = key(
+        "flow_tolerance",
+        "with on_off, by what share a millimetre of a bead may have more or less than it holds, off its first and last 2 mm",
+        0.1,
+    )
 
     @model_validator(mode="after")
     def _only_what_can_be_driven(self) -> ExtruderSpec:
         if self.motor == "on_off" and self.lag > 0.0:
             reason = "a motor that is only on or off cannot make up for lag_s"
             raise refusal(reason, "leave out lag_s, or take another motor", fields=["motor", "lag_s"])
+        return self
+
+    @model_validator(mode="after")
+    def _a_motor_that_follows_needs_no_tolerance(self) -> ExtruderSpec:
+        if self.motor != "on_off" and "flow_tolerance" in self.model_fields_set:
+            reason = f"flow follows the speed with {self.motor}: flow_tolerance is of on_off"
+            raise refusal(reason, "leave out flow_tolerance, or take motor: on_off", fields=["motor", "flow_tolerance"])
         return self
 
 

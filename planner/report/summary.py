@@ -50,6 +50,7 @@ SHOWN = (
     "arm_clearance_min_mm",
     "robot_clearance_min_mm",
     "flow_error_max",
+    "even_flow_fraction",
     "over_extruded_mm3",
     "steering_radius_min_mm",
     "extruded_mm",

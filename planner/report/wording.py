@@ -71,6 +71,7 @@ METRICS = (
     MetricLabel("branch_changes_in_deposition", "branch changes in deposition", "", 0, better="down"),
     MetricLabel("deposited_length_mm", "length deposited", "m", 2, 1e-3),
     MetricLabel("flow_error_max", "flow per millimetre", "%", 2, 100, "down"),
+    MetricLabel("even_flow_fraction", "millimetres with even flow", "%", 2, 100, "up"),
     MetricLabel("over_extruded_mm3", "too much material in dips", "mm³", 2, better="down"),
     MetricLabel("lag_zone_mm", "length not judged by flow per millimetre", "mm", 0),
     MetricLabel("steering_radius_min_mm", "steering radius of the fibre", "mm", 1, better="up"),
@@ -159,6 +160,7 @@ GROUPS = {
     ),
     "material": (
         "flow per millimetre",
+        "millimetres with even flow",
         "length not judged by flow per millimetre",
         "material keeps pace",
         "extrusion balance",

@@ -24,6 +24,7 @@ Samples = NDArray[np.intp]
 
 EXTRUSION_TOLERANCE = 1e-3  # of the volume
 PER_MILLIMETRE = 5e-3  # of what a millimetre of the bead holds
+SWITCHED_ENDS = 2e-3  # m at both ends of a bead that are not judged where a motor is only switched
 MILLIMETRE = 1e-3  # m: stretch of a bead that is weighed
 RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how much lies in it
 STEPS = 4  # places in a stretch at which the next one begins
@@ -57,6 +58,16 @@ class Volume:
         return self.integral[i] + 0.5 * (self.area[i] + here) * far
 
 
+@dataclass(frozen=True)
+class FlowByLength:
+    """What millimetres of beads get: the largest share by which one that is judged is off, where, and the share of all
+    that are within process.extruder.flow_tolerance."""
+
+    worst: float
+    where: str
+    even: float
+
+
 def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
     """The bead's volume, from its measures and the section that the problem asks for; a strut in space is round."""
     w, h = bead.width, bead.height
@@ -78,28 +89,30 @@ def extrusion(judged: Judged) -> Findings:
     sample = max(float(v.area.max()) for v in volumes[t.first_bead :]) * _fastest(judged) * t.dt
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
-    worst, where = _per_millimetre(judged, volumes, _leaving(pressed, t.dt, lag))
+    switched = process.extruder.motor == "on_off"
+    flow = _per_millimetre(judged, volumes, _leaving(pressed, t.dt, lag), SWITCHED_ENDS if switched else 0.0)
     near = _near_ends(t, lag)
     checks: list[Check] = []
     metrics: dict[str, float] = {}
     series: dict[str, Array] = {}
-    if process.extruder.motor == "on_off":
+    if switched:
         late = np.abs(np.cumsum(t.flow) * t.dt - t.extruded)
         over = _over_extruded(t, volumes, samples)
         checks.append(_runs_while_laying(judged, volumes))
         checks.append(_keeps_pace(t, late, sample))
         series["over_extruded_mm3"] = over * 1e9
         metrics["over_extruded_mm3"] = float(over.sum()) * 1e9
+        metrics["even_flow_fraction"] = flow.even
     else:
         checks.append(_balance(t, volumes, samples))
         checks.append(_keeps_pace(t, _behind(t, volumes, samples), sample))
-        checks.append(_flow_per_millimetre(t, worst, where))
+    checks.append(_flow_per_millimetre(t, flow, process.extruder.flow_tolerance if switched else PER_MILLIMETRE))
     checks.append(_fed(t, pressed, lag, near, sample))
     if process.section == "fibre":
         checks.append(_as_long_as_its_bead(t, volumes, samples))
     if process.materials:
         checks += [_own_tool(list(process.materials), judged.toolpath, t), _changes(process, judged.toolpath, t)]
-    metrics["flow_error_max"] = worst
+    metrics["flow_error_max"] = flow.worst
     if lag > 0.0:
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
     metrics["extruded_volume_mm3"] = float(t.extruded[-1]) * 1e9
@@ -127,11 +140,11 @@ def _keeps_pace(t: Trajectory, off: Array, sample: float) -> Check:
     return _share_check(t, "material keeps pace", off, sample, 1.0 + SPEED_TOLERANCE)
 
 
-def _flow_per_millimetre(t: Trajectory, worst: float, where: str) -> Check:
+def _flow_per_millimetre(t: Trajectory, flow: FlowByLength, limit: float) -> Check:
     """The check of what `_per_millimetre` found."""
-    ok = worst <= PER_MILLIMETRE
-    where = where if ok else _if_coarse(t, where)
-    return Check("flow per millimetre", worst, PER_MILLIMETRE, "of what a millimetre holds", ok, where)
+    ok = flow.worst <= limit
+    where = flow.where if ok else _if_coarse(t, flow.where)
+    return Check("flow per millimetre", flow.worst, limit, "of what a millimetre holds", ok, where)
 
 
 def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float) -> Check:
@@ -226,14 +239,17 @@ def _over_extruded(t: Trajectory, volumes: Sequence[Volume], samples: Sequence[S
     return over
 
 
-def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array) -> tuple[float, str]:
-    """Largest share by which a millimetre of a bead gets more or less than it holds, and where.
+def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends: float) -> FlowByLength:
+    """By what share millimetres of beads get more or less than they hold, where the worst of those is that lie off the
+    `ends` [m] of their bead, and how many of all are within the tolerance of a motor that is switched.
 
     Counted three times: by what leaves a nozzle that lags its motor (out (n) [m^3], beyond lag zones), by the record of
     what has been extruded, and by the flow.
     """
     process, t, worst, where = judged.problem.process, judged.trajectory, 0.0, EVERYWHERE
     zone = process.extruder.lag + ZONE_SAMPLES * t.dt if process.extruder.lag > 0.0 else 0.0
+    even = 0
+    seen = 0
     for i, (at, volume) in enumerate(zip(judged.samples, volumes, strict=True)):
         if len(at) < 2:
             continue  # which is another check's to say
@@ -258,10 +274,12 @@ def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array) -> tu
         beyond = np.abs(off[STEPS:] - off[:-STEPS]) - doubt[STEPS:] - doubt[:-STEPS]
         share = np.maximum(share, beyond / holds)
         share = np.where(np.isnan(share), np.inf, share)
+        even, seen = even + int((share <= process.extruder.flow_tolerance).sum()), seen + len(share)
+        share = np.where((places[:-STEPS] < ends) | (places[STEPS:] > length - ends), 0.0, share)
         k = int(np.argmax(share))
         if share[k] > worst:
             worst, where = float(share[k]), f"bead {i}, {places[k] * 1e3:.1f} mm"
-    return worst, where
+    return FlowByLength(worst, where, even / seen if seen else 1.0)
 
 
 def _between(s: Array, length: float) -> tuple[Array, Array]:

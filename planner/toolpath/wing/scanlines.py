@@ -72,6 +72,7 @@ def fill_sheet(
     chains, width = _across(sheet, filling, stretch) if across else _along(sheet, filling, stretch)
     left = [chain for chain in chains if _length(chain) >= SHORTEST * filling.width]
     beads: list[Bead] = []
+    pieces = 0
     while left:
         choices = [(k, way) for k, chain in enumerate(left) for way in _ways(chain)]
         ends = np.array([way[0] for _, way in choices])
@@ -80,8 +81,10 @@ def fill_sheet(
         else:
             k, way = choices[int(np.argmin(np.linalg.norm(on_sheet(sheet, ends)[0] - start, axis=1)))]
         left.pop(k)
-        piece = name if len(chains) == 1 else f"{name} piece {len(beads) + 1}"
-        beads.append(_bead(sheet, across, way, width, filling, stretch, piece, layer))
+        pieces += 1
+        piece = name if len(chains) == 1 else f"{name} piece {pieces}"
+        for each, line in filling.lines(list(way.reshape(-1, 2, 2)), piece):
+            beads.append(_bead(sheet, across, line, width, filling, stretch, each, layer))
         start = beads[-1].points[-1]
     return beads
 

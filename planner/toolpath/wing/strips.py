@@ -6,7 +6,7 @@ A strip rolled out is a rectangle, which one zig-zag line fills.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
@@ -16,6 +16,8 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags
+from planner.problem.layers import AerofoilLayersSpec
+from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead
 from planner.toolpath.interpolation import interpolate
 from planner.toolpath.plane_paths import make_bead
@@ -344,6 +346,7 @@ class Filling:
     tolerance      at the turns [m]
     run_in         length of a run-in [m]
     spacing        of passes, in bead widths, 1 or more
+    apart          each pass is a bead of its own: nothing is laid in the turns
     """
 
     width: float
@@ -351,14 +354,27 @@ class Filling:
     tolerance: float
     run_in: float
     spacing: float = 1.0
+    apart: bool = False
+
+    @classmethod
+    def of(cls, process: ProcessSpec, spec: AerofoilLayersSpec) -> Filling:
+        """Of layers without gaps, as the problem has it."""
+        apart = spec.passes == "apart"
+        return cls(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in, apart=apart)
+
+    def lines(self, passes: Sequence[Array], name: str) -> list[tuple[str, Array]]:
+        """Waypoints (n, 2) of each bead along passes (k, 2), in the order in which they are laid, and its name."""
+        if not self.apart or len(passes) == 1:
+            return [(name, np.vstack(passes))]
+        return [(f"{name} pass {k}", each) for k, each in enumerate(passes, 1)]
 
 
 def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
-) -> Bead:
-    """One bead that fills a strip between two y [m], in passes along its curve or along the span.
+) -> list[Bead]:
+    """Fills a strip between two y [m], in passes along its curve or along the span: one bead, or one for each pass.
 
-    It stays half a pass inside the edges. Of the four corners it begins at the one nearest to `start` (3), if given.
+    They stay half a pass inside the edges. Of the four corners the first begins at the one nearest to `start` (3), if given.
     The tip curve is a plane when rolled out, so turns are rounded there and all samples lie on the true curve.
     """
     sizes = np.array([strip.length, span[1] - span[0]])
@@ -370,13 +386,17 @@ def fill_strip(
     step = min(STEP, TURN / max(strip.bend, 1e-9)) if along else STEP
     plane = _zigzag(low, high, step_axis, passes, step)
     flips = [np.array(flip) for flip in itertools.product((False, True), repeat=2)]
-    corners = [_in_space(strip, span, np.where(flip, sizes - plane[0], plane[0])[None])[0][0] for flip in flips]
+    first = plane[0, 0]
+    corners = [_in_space(strip, span, np.where(flip, sizes - first, first)[None])[0][0] for flip in flips]
     nearest = 0 if start is None else int(np.argmin([np.linalg.norm(corner - start) for corner in corners]))
     plane = np.where(flips[nearest], sizes - plane, plane)
 
     width, ends = pitch / filling.spacing, filling.run_in / PER_RUN
     lift = partial(_in_space, strip, span)
-    return rolled_bead(name, layer, plane, lift, filling.tolerance, APART * pitch, ends, width, filling.height)
+    return [
+        rolled_bead(each, layer, line, lift, filling.tolerance, APART * pitch, ends, width, filling.height)
+        for each, line in filling.lines(list(plane), name)
+    ]
 
 
 def rolled_bead(
@@ -403,7 +423,7 @@ def rolled_bead(
 
 
 def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -> Array:
-    """Waypoints (n, 2) of straight passes between corners `low` and `high` (2), every other one run backwards."""
+    """Waypoints (passes, n, 2) of straight passes between corners `low` and `high` (2), every other one run backwards."""
     run_axis = 1 - step_axis
     count = max(int(np.ceil((high[run_axis] - low[run_axis]) / step)), 2)
     run = np.linspace(low[run_axis], high[run_axis], count + 1)
@@ -411,7 +431,7 @@ def _zigzag(low: Array, high: Array, step_axis: int, passes: int, step: float) -
     out[:, :, run_axis] = run
     out[1::2, :, run_axis] = run[::-1]
     out[:, :, step_axis] = np.linspace(low[step_axis], high[step_axis], passes)[:, None]
-    return out.reshape(-1, 2)
+    return out
 
 
 def _in_space(strip: Strip, span: tuple[float, float], plane: Array) -> tuple[Array, Array]:

@@ -68,7 +68,7 @@ def lofted_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     lowest = [float(section.lower.points(section.lower.grid)[:, 1].min()) for section in (root, tip)]
     floor = min(lowest)
     check_floor(problem, spec, floor)
-    solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
+    solid = Filling.of(process, spec)
     planar = source.method == "planar"
     layers = _planar(loft, spec, stations, solid) if planar else _curved(problem, loft, spec, stations, solid)
     if not any(layers):
@@ -274,7 +274,7 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     halves = _layers(section, spec, shortest)
     if not halves:
         raise too_small(problem)
-    solid = Filling(process.bead.width, process.bead.height, process.corner_tolerance, process.run_in)
+    solid = Filling.of(process, spec)
     # the outer layers run along the curve, and so does every second one from each surface inwards
     jobs = [StripLayer("layer", pieces, depth % 2 == 0, solid) for pieces, depth in halves]
     ground: list[Strip] = []
@@ -284,18 +284,19 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         check_support(problem, spec, spec.support, floor)
         jobs = _support(section, spec, spec.support, shortest, solid) + jobs
     beads: list[Bead] = []
+    laid: list[int] = []
     strips, levels = ground, [-1] * len(ground)
     for layer, job in enumerate(jobs[: spec.count]):
         start = beads[-1].points[-1] if beads else None
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
             start = beads[-1].points[-1] if beads else None
-            bead = fill_strip(piece, job.along, span, job.filling, name, layer, start)
-            beads.append(replace(bead, material=job.material))
+            new = fill_strip(piece, job.along, span, job.filling, name, layer, start)
+            beads += [replace(bead, material=job.material) for bead in new]
+            laid += [len(strips)] * len(new)
             strips.append(piece)
             levels.append(layer)
-    laid = tuple(range(len(strips) - len(beads), len(strips)))
-    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), laid, span, 0, {}))
+    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), tuple(laid), span, 0, {}))
 
 
 def _nearest_first(pieces: Sequence[Strip], start: Array | None) -> Sequence[Strip]:
