@@ -102,7 +102,7 @@ def test_every_kind_has_its_number_of_cases() -> None:
     assert (counts["problems"], counts["files"], counts["motions"], counts["plans"]) == (1500, 600, 1000, 500)
     assert sum(counts[name] for name in TEXTS) == 2000 and sum(counts[name] > 0 for name in TEXTS) == 5
     assert (counts["gcode"], counts["kills"], counts["determinism"]) == (400, 60, 12)
-    assert {counts[name] for name in ("recordings", "bags", "runs", "tables", "corrections", "clouds")} == {400}
+    assert {counts[name] for name in ("recordings", "bags", "runs", "tables", "corrections", "clouds")} == {300}
 
 
 @pytest.mark.parametrize("name", recordings.TABLE_CHANGES)

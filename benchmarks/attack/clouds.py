@@ -28,7 +28,7 @@ from planner.problem import load_problem
 from planner.toolpath.as_printed import COLUMNS
 from planner.toolpath.build import build_toolpath
 
-COUNT = 400
+COUNT = 300
 PRINT = ("layers.count=4", "layers.source.size_mm=[30, 30]", "resolve.roll_step_deg=30")
 NAME, LAYER = "hemisphere_honeycomb", 2
 # m by which a map may be off the truth: a measured cell, and what is smoothed over, holes too

@@ -37,7 +37,7 @@ from planner.motion.as_run import read_corrections
 from planner.plan import Plan
 from planner.problem import load_problem
 
-COUNT = 400
+COUNT = 300
 JOINT, MOST_DEG = 3, 30.0  # that moves in the test program, and how far
 MOVES = 8  # of it that are asked: the first, and the last ones
 LIMIT_OFF = 0.05  # share by which a limit may be off that is told, or a few standard errors

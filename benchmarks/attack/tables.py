@@ -36,7 +36,7 @@ from planner.plan import Plan
 from planner.planning.pipeline import with_asked
 from planner.problem import load_problem
 
-COUNT = 400
+COUNT = 300
 LAG, FLOW, DENSITY = 0.1, 0.92, 1240.0  # s; of what is asked; kg/m³
 NOISE = {True: 0.02e-6, False: 0.02e-3}  # kg of a piece, m of a width
 LENGTH = 240e-3  # m
