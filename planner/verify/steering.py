@@ -12,7 +12,6 @@ Run-in and run-out lay nothing and are not judged. Lengths are in metres.
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths
@@ -43,13 +42,13 @@ def geodesic_curvature(tip: Array, normals: Array, span: float) -> Array:
     points, up = (
         np.stack([np.interp(even, s[moved], of[moved, k]) for k in range(3)], axis=1) for of in (tip, normals)
     )
-    along, bend = (savgol_filter(points, window, 2, deriv=k, delta=float(step), axis=0) for k in (1, 2))
     half = window // 2
-    within = slice(
-        half, max(count - half, half + 1)
-    )  # towards the ends it is that of the first and the last whole span
-    level = np.cross(along[within], bend[within])
-    curvature = (level * up[within]).sum(axis=1) / np.maximum(np.linalg.norm(along[within], axis=1), _LEAST_SPEED)
+    fitted = np.linalg.pinv(np.vander(np.arange(-half, half + 1) * step, 3, increasing=True))
+    around = np.lib.stride_tricks.sliding_window_view(points, window, axis=0)
+    along, bend = around @ fitted[1], around @ (2.0 * fitted[2])
+    within = slice(half, half + len(around))  # towards the ends it is that of the first and the last whole span
+    level = (np.cross(along, bend) * up[within]).sum(axis=1)
+    curvature = level / np.maximum(np.linalg.norm(along, axis=1), _LEAST_SPEED)
     return np.asarray(np.interp(s, even[within], curvature))
 
 
