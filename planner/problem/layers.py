@@ -86,7 +86,7 @@ class FacesSpec(SourceSection):
         "path", f"how samples are joined: {', '.join(COVER_NAMES)}", "weighted_greedy"
     )
     spacing_v: Annotated[float, Quantity("mm", 0.1, 1000)] | None = key(
-        "spacing_v_mm", "distance between samples along v [mm], where it is not that along u", None
+        "spacing_v_mm", "distance between samples along v [mm]; default: spacing_mm, that along u", None
     )
     direction: Annotated[DirectionName, one_of(DIRECTION_NAMES)] | None = key(
         "direction",
@@ -96,7 +96,9 @@ class FacesSpec(SourceSection):
     weight: Annotated[float, Quantity("", 0, 100)] | None = key(
         "weight", "of weighted_greedy: distances between samples that leaving a row costs besides; default: 1", None
     )
-    start: Position | None = key("start_mm", "place on the part near which the first bead starts [mm]", None)
+    start: Position | None = key(
+        "start_mm", "place on the part near which the first bead starts [mm]; default: the first sample", None
+    )
     tolerance: Annotated[float, Quantity("mm", 1e-6, 1)] | None = key(
         "tolerance_mm", "by how much distances between samples may be off [mm]; default: 0.001", None
     )
