@@ -110,17 +110,12 @@ class FacesSpec(SourceSection):
 
     @model_validator(mode="after")
     def _as_joined(self) -> FacesSpec:
-        of_samples = {
-            "spacing_v": "spacing_v_mm",
-            "direction": "direction",
-            "start": "start_mm",
-            "tolerance": "tolerance_mm",
-        }
-        keys = of_samples | {"weight": "weight"}
-        not_asked = keys if self.path == "rows" else {} if self.path == "weighted_greedy" else {"weight": "weight"}
-        for name, told in not_asked.items():
+        of_samples = ("spacing_v", "direction", "start", "tolerance")
+        unknown = {"rows": (*of_samples, "weight"), "weighted_greedy": ()}
+        for name in unknown.get(self.path, ("weight",)):
             if getattr(self, name) is not None:
                 with_it = "weighted_greedy" if name == "weight" else ", ".join(COVER_NAMES[1:])
+                told = type(self).model_fields[name].alias
                 raise refusal(f"path {self.path} knows nothing of it", f"it belongs to path: {with_it}", item=told)
         if self.path == "tour" and self.start is not None:
             raise refusal("a tour starts where it likes", "leave it out, or path: weighted_greedy", item="start_mm")

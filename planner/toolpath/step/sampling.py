@@ -86,9 +86,8 @@ def _sample(body: FaceBody, face: int, sampling: Sampling) -> tuple[Array, Ints]
     longest = float(lines[int(np.argmax(lengths > lengths.max() * (1.0 - 1e-9)))])  # at a pole steps have no length
     tolerance = sampling.tolerance
     begun = np.array([low[across]])
-    row = _march(lambda c: points(at(c, np.full(len(c), longest))), begun, high[across], sampling.apart, tolerance)[
-        :, 0
-    ]
+    rows = _march(lambda c: points(at(c, np.full(len(c), longest))), begun, high[across], sampling.apart, tolerance)
+    row = rows[:, 0]
     begun = np.full(len(row), low[along])
     steps = _march(lambda c: points(at(row[: len(c)], c)), begun, high[along], sampling.row, tolerance)
     number = np.broadcast_to(np.arange(len(row)), steps.shape)
