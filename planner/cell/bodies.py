@@ -30,6 +30,7 @@ from planner.problem.cell import BodySpec, NozzleSpec
 from planner.problem.mesh_files import read_corners
 
 SHAPES = ("box", "cylinder", "sphere", "capsule", "mesh")
+NOZZLE, OF = "nozzle", " of "  # name of a nozzle's outline, and what stands before its own name where there are several
 OTHERS, CAPS = "others", "caps"  # stand for all links whose colour is not named, and for the covers on joints
 THINNEST = 1e-6  # m: what is thinner is a mistake
 _FLAT = 1e-6  # m: a mesh that is thinner has no hull
@@ -258,12 +259,11 @@ def nozzle_profile(spec: NozzleSpec) -> tuple[tuple[float, float], ...]:
     return (0.0, face), (_THICKNESS / float(np.tan(_CONE)), thick), (_LENGTH, thick)
 
 
-def head_bodies(problem: Problem, T_flange_nozzle: Array) -> tuple[Body, ...]:
-    """Nozzle and print head in the nozzle frame, whose z points into the part.
+def head_bodies(problem: Problem, spec: NozzleSpec, key: str, T_flange_nozzle: Array) -> tuple[Body, ...]:
+    """Nozzle and print head in the nozzle frame, whose z points into the part; key: of the nozzle in the problem file.
 
     Raises InputError for a mesh that cannot be read.
     """
-    spec = problem.cell.nozzle
     profile = nozzle_profile(spec)
     upwards = np.diag([1.0, -1.0, -1.0, 1.0])
     bodies = []
@@ -271,12 +271,12 @@ def head_bodies(problem: Problem, T_flange_nozzle: Array) -> tuple[Body, ...]:
         if high > low:
             T = upwards.copy()
             T[2, 3] = -low
-            bodies.append(Body("nozzle", Frustum(bottom, top, high - low), T))
+            bodies.append(Body(NOZZLE, Frustum(bottom, top, high - low), T))
     T_nozzle_flange = np.asarray(np.linalg.inv(T_flange_nozzle), dtype=float)
     if spec.head is None:
         bodies += _tube(np.array([0.0, 0.0, -profile[-1][0]]), T_nozzle_flange[:3, 3])
     for name, own in (spec.head or {}).items():
-        where = partial(problem.error, f"cell.nozzle.head.{name}")
+        where = partial(problem.error, f"{key}.head.{name}")
         body = _solid_body(f"head {name}", own, where)
         solid = _mesh_hull(body.solid, where) if isinstance(body.solid, Mesh) else body.solid
         bodies.append(Body(body.name, solid, T_nozzle_flange @ body.T_frame_solid))

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import Refusal, nearest_name
-from planner.cell.bodies import fixture_bodies, head_bodies
+from planner.cell.bodies import OF, fixture_bodies, head_bodies
 from planner.cell.carrier import Carrier, carried_arm, in_words
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import InverseKinematics, OnRail, given_joints, with_rest
@@ -50,6 +52,16 @@ class Limits:
 
 
 @dataclass(frozen=True)
+class FlangeNozzle:
+    """One of several nozzles: its name, its pose on the flange (z out of the tip), and all that is on the flange while it is
+    in use, in its frame."""
+
+    name: str
+    T_flange_nozzle: Array
+    head: tuple[Body, ...]
+
+
+@dataclass(frozen=True)
 class Cell:
     """Arm with nozzle, and whatever holds the part.
 
@@ -65,6 +77,8 @@ class Cell:
     home       (n) start posture, arm then holder
     arm_robot, holder_robot, held   the robots' own models, for whoever wants to check independently
     carrier    what carries the arm, if anything does: in `arm_robot` it is one with the arm
+    nozzles    all of them, where there are several; the cell is that of one of them, see `at`
+    nozzle_of  which of them (index) lays each material, by name; in_use: whose cell this is
     """
 
     arm: Chain
@@ -84,6 +98,36 @@ class Cell:
     fixtures: tuple[Body, ...]
     carried: tuple[Body, ...]
     carrier: Carrier | None = None
+    nozzles: tuple[FlangeNozzle, ...] = ()
+    nozzle_of: Mapping[str, int] = field(default_factory=dict)
+    in_use: int = 0
+
+    def at(self, material: str) -> Cell:
+        """The cell with the nozzle in use that lays a material: itself, where one lays all."""
+        return self.with_nozzle(self.nozzle_of[material]) if self.nozzles else self
+
+    def with_nozzle(self, k: int) -> Cell:
+        """The cell with one of several nozzles in use."""
+        return self if k == self.in_use else self._by_nozzle[k]
+
+    @property
+    def nozzle_name(self) -> str:
+        """The name of the nozzle that is in use; empty where there is but one."""
+        return self.nozzles[self.in_use].name if self.nozzles else ""
+
+    @cached_property
+    def _by_nozzle(self) -> tuple[Cell, ...]:
+        T_last_flange = self.arm.T_last_tip @ rigid_inverse(self.T_flange_nozzle)
+        return tuple(
+            replace(
+                self,
+                arm=replace(self.arm, T_last_tip=T_last_flange @ nozzle.T_flange_nozzle),
+                T_flange_nozzle=nozzle.T_flange_nozzle,
+                head=nozzle.head,
+                in_use=k,
+            )
+            for k, nozzle in enumerate(self.nozzles)
+        )
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -157,6 +201,7 @@ class Cell:
         if not isinstance(placed, PlacedWrist):
             return self
         T_flange_nozzle = placed.T_end_flange @ self.T_flange_nozzle
+        others = [replace(one, T_flange_nozzle=placed.T_end_flange @ one.T_flange_nozzle) for one in self.nozzles]
         T_world_base = self.T_world_base @ placed.T_base_foot
         own = placed.arm.chain(self.arm.names)
         placements = np.concatenate([T_world_base[None] @ own.placements[:1], own.placements[1:]])
@@ -175,6 +220,7 @@ class Cell:
             T_flange_nozzle=T_flange_nozzle,
             home=self.counted(self.home[None])[0],
             arm_robot=replace(self.arm_robot, inverse=placed.arm),
+            nozzles=tuple(others),
         )
 
     @property
@@ -243,7 +289,8 @@ def build_cell(problem: Problem) -> Cell:
         raise problem.error("cell.arm", f"{arm_robot.key} is not an arm: its file names no inverse kinematics")
     T_world_base = translation(np.asarray(spec.base))
     T_world_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.base_rpy)
-    T_flange_nozzle = frame_from_z(np.asarray(spec.nozzle.tip), np.asarray(spec.nozzle.axis))
+    nozzles = _flange_nozzles(problem)
+    T_flange_nozzle = nozzles[0].T_flange_nozzle
     carried = None if spec.carrier is None else carried_arm(problem, spec.carrier, arm_robot)
     if carried is not None:
         arm_robot, T_world_base = carried.robot, T_world_base @ carried.T_carrier_base
@@ -307,11 +354,42 @@ def build_cell(problem: Problem) -> Cell:
         held=held,
         T_world_holder_base=T_world_holder_base,
         T_plate_part=T_plate_part,
-        head=head_bodies(problem, T_flange_nozzle),
+        head=nozzles[0].head,
         fixtures=fixture_bodies(problem, "world"),
         carried=fixture_bodies(problem, "part"),
         carrier=None if carried is None else carried.carrier,
+        nozzles=nozzles if spec.nozzles else (),
+        nozzle_of=_nozzle_of(problem),
     )
+
+
+def _flange_nozzles(problem: Problem) -> tuple[FlangeNozzle, ...]:
+    """The nozzle of a problem, or all of them, each with its print head, and with the others where these are beside it.
+
+    Bodies have the nozzle's name in theirs where there are several. Raises InputError for a mesh that cannot be read.
+    """
+    spec, found = problem.cell, []
+    for name, own in (spec.nozzles or {"": spec.nozzle}).items():
+        T = frame_from_z(np.asarray(own.tip), np.asarray(own.axis))
+        bodies = head_bodies(problem, own, f"cell.nozzles.{name}" if name else "cell.nozzle", T)
+        named = tuple(replace(body, name=f"{body.name}{OF}{name}") for body in bodies) if name else bodies
+        found.append(FlangeNozzle(name, T, named))
+    if spec.mounted == "one":
+        return tuple(found)
+    beside = [tuple(body for other in found if other is not own for body in _beside(own, other)) for own in found]
+    return tuple(replace(own, head=(*own.head, *others)) for own, others in zip(found, beside, strict=True))
+
+
+def _beside(own: FlangeNozzle, other: FlangeNozzle) -> tuple[Body, ...]:
+    """The bodies of another nozzle, in the frame of the one that is in use."""
+    T = rigid_inverse(own.T_flange_nozzle) @ other.T_flange_nozzle
+    return tuple(replace(body, T_frame_solid=T @ body.T_frame_solid) for body in other.head)
+
+
+def _nozzle_of(problem: Problem) -> dict[str, int]:
+    """Which of several nozzles (index) lays each material, by name."""
+    names = list(problem.cell.nozzles)
+    return {name: names.index(spec.nozzle) for name, spec in problem.process.materials.items() if spec.nozzle}
 
 
 def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, float]:
@@ -319,32 +397,32 @@ def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, flo
     has not."""
     axes, slides = robot.joint_names, dict(zip(robot.joint_names, robot.slides, strict=True))
     given = {"held_deg": spec.held, "held_mm": spec.held_mm, "home_deg": spec.home, "home_mm": spec.home_mm}
-    for field, names in {"free": spec.free, **given}.items():
+    for named, names in {"free": spec.free, **given}.items():
         for name in names:
             if name not in axes:
                 near = nearest_name(name, axes)
                 hint = f"did you mean {near}?" if near else f"axes: {', '.join(axes)}"
-                raise problem.error(f"cell.positioner.{field}", f"no axis {name!r}", hint)
-            if field != "free" and field.endswith("mm") != slides[name]:
+                raise problem.error(f"cell.positioner.{named}", f"no axis {name!r}", hint)
+            if named != "free" and named.endswith("mm") != slides[name]:
                 way, unit = ("slides", "mm") if slides[name] else ("turns", "deg")
-                hint = f"{field.split('_')[0]}_{unit}"
-                raise problem.error(f"cell.positioner.{field}.{name}", f"axis {name!r} {way}", hint)
-    for field in ("home_deg", "home_mm"):
-        for name in given[field]:
+                hint = f"{named.split('_')[0]}_{unit}"
+                raise problem.error(f"cell.positioner.{named}.{name}", f"axis {name!r} {way}", hint)
+    for named in ("home_deg", "home_mm"):
+        for name in given[named]:
             if name not in spec.free:
-                hint = f"that of a held axis stands in {field.replace('home', 'held')}"
-                raise problem.error(f"cell.positioner.{field}.{name}", f"axis {name!r} is not free", hint)
+                hint = f"that of a held axis stands in {named.replace('home', 'held')}"
+                raise problem.error(f"cell.positioner.{named}.{name}", f"axis {name!r} is not free", hint)
     out = {}
     for i, name in enumerate(axes):
         if name in spec.free:
             continue
         low, high = float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i])
-        field = "held_mm" if slides[name] else "held_deg"
+        named = "held_mm" if slides[name] else "held_deg"
         # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
-        out[name] = at = given[field].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
-        if name in given[field] and not low - _ROUNDING <= at <= high + _ROUNDING:
+        out[name] = at = given[named].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
+        if name in given[named] and not low - _ROUNDING <= at <= high + _ROUNDING:
             reason = "it is outside the axis' range"
-            raise problem.error(f"cell.positioner.{field}.{name}", reason, in_words(low, high, slides[name]))
+            raise problem.error(f"cell.positioner.{named}.{name}", reason, in_words(low, high, slides[name]))
     return out
 
 

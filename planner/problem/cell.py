@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import field_validator, model_validator
 
 from planner.problem.fields import (
+    IDENTIFIER,
     INCREASING,
     PATH,
     ROBOT,
@@ -26,10 +27,12 @@ from planner.problem.fields import (
 )
 
 CARRIERS = ("world", "part")
+MOUNTINGS = ("together", "one")
 Side = Annotated[Vector, Quantity("mm", 0.1, 100_000, count=3)]
 Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
 
 Text = Annotated[str, TEXT]
+NozzleName = Annotated[str, IDENTIFIER]
 RobotName = Annotated[str | Path, ROBOT]
 Angle = Annotated[float, Quantity("deg", -3600, 3600)]  # ten turns: no cable allows more
 Place = Annotated[float, Quantity("mm", -100_000, 100_000)]
@@ -218,7 +221,7 @@ class JointLimitsSpec(Section):
 class CellSpec(Section):
     """Arm, nozzle and what carries the part: a positioner or a fixed bed."""
 
-    model_config = exactly_one("positioner", "bed_mm")
+    model_config = exactly_one("positioner", "bed_mm", and_of=("nozzle", "nozzles"))
 
     arm: RobotName = key("arm", "its name in robots/, or a file of your own, my_robot.yaml")
     base: Position = key("base_mm", "base of the arm in the world, or of what carries it [mm]", (0, 0, 0))
@@ -228,7 +231,18 @@ class CellSpec(Section):
         (0, 0, 0),
     )
     carrier: CarrierSpec | None = key("base", "what carries the arm, such as a rail; default: nothing, it stands", None)
-    nozzle: NozzleSpec = key("nozzle", "the nozzle on the arm's flange")
+    only_nozzle: NozzleSpec | None = key("nozzle", "the nozzle on the arm's flange; default: none, but nozzles", None)
+    nozzles: dict[NozzleName, NozzleSpec] = key(
+        "nozzles",
+        "several nozzles for the arm's flange, by their names in programs: each material says which is its own; "
+        "default: none, but nozzle",
+        {},
+    )
+    mounted: Annotated[Literal["together", "one"], one_of(MOUNTINGS)] = key(
+        "mounted",
+        "of several nozzles, what is on the flange: all of them together, or the one in use, which is exchanged at home",
+        "together",
+    )
     home: Annotated[tuple[float, ...], Quantity("deg", -3600, 3600, count=(1, MOST_JOINTS))] = key(
         "home_deg", "posture of the arm before and after the print, each joint from the base on [deg]"
     )
@@ -241,6 +255,24 @@ class CellSpec(Section):
         "fixtures", "what else stands in the cell, or is carried with the part, by name; default: nothing", {}
     )
     limits: dict[Text, JointLimitsSpec] = key("limits", "limits of your own by joint; default: the robots'", {})
+
+    @property
+    def nozzle(self) -> NozzleSpec:
+        """The only nozzle, or the first of several."""
+        return self.only_nozzle or next(iter(self.nozzles.values()))
+
+    def nozzle_named(self, name: str) -> NozzleSpec:
+        """One of several nozzles, or the only one, which has no name."""
+        return self.nozzles[name] if name else self.nozzle
+
+    @model_validator(mode="after")
+    def _one_nozzle_or_several(self) -> CellSpec:
+        if (self.only_nozzle is None) == (not self.nozzles):
+            found = "both nozzle and nozzles are" if self.nozzles else "neither nozzle nor nozzles is"
+            raise refusal(f"{found} given", "give exactly one of them", fields=["nozzle", "nozzles"])
+        if not self.nozzles and "mounted" in self.model_fields_set:
+            raise refusal("mounted is of several nozzles", "leave it out, or give nozzles", fields=["mounted"])
+        return self
 
     @model_validator(mode="after")
     def _one_holder(self) -> CellSpec:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from planner.base.shipped import PROBLEMS
+from planner.problem.cell import NozzleSpec
 from planner.problem.fields import Section, described
 from planner.problem.problem import Problem, load_problem
 from planner.problem.yaml_file import shipped_problems
@@ -167,10 +168,17 @@ def _robot(name: str, given: str | Path) -> str:
 
 
 def _nozzle(problem: Problem) -> str:
-    nozzle = problem.cell.nozzle
+    several = problem.cell.nozzles
+    if several:
+        return "; ".join(f"{name}: {_one_nozzle(nozzle, name)}" for name, nozzle in several.items())
+    return _one_nozzle(problem.cell.nozzle, "")
+
+
+def _one_nozzle(nozzle: NozzleSpec, name: str) -> str:
+    key = f"cell.nozzles.{name}" if name else "cell.nozzle"
     away = np.linalg.norm(nozzle.tip) * 1e3
     head = f"; head: {', '.join(nozzle.head)}" if nozzle.head else ""
-    assumed = "" if nozzle.profile is not None else "; its outline is assumed (cell.nozzle.profile_mm)"
+    assumed = "" if nozzle.profile is not None else f"; its outline is assumed ({key}.profile_mm)"
     return f"bore {nozzle.diameter * 1e3:g} mm, tip {away:.1f} mm from the flange's centre{head}{assumed}"
 
 

@@ -232,12 +232,14 @@ def one_of(names: Sequence[str]) -> Form:
     return Form(check, schema={"enum": list(names)})
 
 
-def exactly_one(*keys: str) -> ConfigDict:
-    """The configuration of a section in which exactly one of some keys stands, for its JSON schema to say so.
+def exactly_one(*keys: str, and_of: tuple[str, ...] = ()) -> ConfigDict:
+    """The configuration of a section in which exactly one of some keys stands, and one of others, for its JSON schema to
+    say so.
 
-    Its validator refuses all else, in words.
+    Its validators refuse all else, in words.
     """
-    return ConfigDict(json_schema_extra={"oneOf": [{"required": [name]} for name in keys]})
+    first, *more = ({"oneOf": [{"required": [name]} for name in group]} for group in (keys, and_of) if group)
+    return ConfigDict(json_schema_extra=cast(Any, first | ({"allOf": more} if more else {})))
 
 
 def _unique(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails, PydanticKnownError
 from planner.base.errors import InputError, nearest_name
 from planner.problem.as_printed import AsPrintedSpec
 from planner.problem.as_run import AsRunSpec
-from planner.problem.cell import CellSpec, CollisionSpec
+from planner.problem.cell import CellSpec, CollisionSpec, NozzleSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
 from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
 from planner.problem.overrides import apply_overrides, parse_override
@@ -223,6 +223,11 @@ class Problem(Section):
     def changed(self, overrides: Sequence[str | Override]) -> Problem:
         """The problem read once more, with further overrides after its own; raises InputError as `load_problem` does."""
         return load_problem(self.file, (*self._source.overrides, *overrides))
+
+    def nozzle_of(self, material: str) -> NozzleSpec:
+        """The nozzle that lays a material."""
+        spec = self.process.materials.get(material)
+        return self.cell.nozzle_named("" if spec is None else spec.nozzle or "")
 
     @property
     def from_arrays(self) -> bool:

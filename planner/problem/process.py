@@ -150,6 +150,9 @@ class MaterialSpec(Section):
         "it but for the first one",
         None,
     )
+    nozzle: Annotated[str, IDENTIFIER] | None = key(
+        "nozzle", "its nozzle, by its name in cell.nozzles; default: cell.nozzle, which lays all materials", None
+    )
     filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
         "filament_diameter_mm", "diameter of its filament [mm]; default: process.filament_diameter_mm", None
     )
@@ -201,8 +204,13 @@ def check_materials(problem: Problem) -> None:
             hint = f"choices: {', '.join(names)}" if names else "give process.materials, or leave it out"
             reason = f"there is no material {name!r} in process.materials"
             raise problem.error(f"{field}.material", reason, f"did you mean {near}? {hint}" if near else hint)
+    check_nozzles(problem)
     program = problem.program
     taken = {getattr(program, use).lower(): f"program.{use}" for use in ("tool", "work_object", "station")}
+    for name in problem.cell.nozzles:
+        first = taken.setdefault(name.lower(), f"cell.nozzles.{name}")
+        if first != f"cell.nozzles.{name}":
+            raise problem.error(f"cell.nozzles.{name}", f"{name!r} is already the name of {first}", "give each its own")
     for name, signal in signals(problem).items():
         field = f"process.materials.{name}.extruder_signal"
         if len(signal) > LONGEST_NAME:
@@ -210,6 +218,24 @@ def check_materials(problem: Problem) -> None:
         first = taken.setdefault(signal.lower(), name)  # RAPID does not tell capitals from small letters
         if first != name:
             raise problem.error(field, f"{signal!r} is already the name of {first}", "give each its own name")
+
+
+def check_nozzles(problem: Problem) -> None:
+    """Raise the InputError of a material without a nozzle where there are several, and of a nozzle that there is not."""
+    nozzles, materials = list(problem.cell.nozzles), problem.process.materials
+    if nozzles and not materials:
+        hint = "one nozzle as cell.nozzle, or materials, each with its nozzle"
+        raise problem.error("cell.nozzles", "there are no process.materials that they lay", hint)
+    for name, spec in materials.items():
+        field = f"process.materials.{name}.nozzle"
+        if spec.nozzle is None and nozzles:
+            raise problem.error(field, "is missing: there are several nozzles", f"choices: {', '.join(nozzles)}")
+        if spec.nozzle is not None and not nozzles:
+            raise problem.error(field, "there are no cell.nozzles", "name several there, in place of cell.nozzle")
+        if spec.nozzle is not None and spec.nozzle not in nozzles:
+            near, choices = nearest_name(spec.nozzle, nozzles), f"choices: {', '.join(nozzles)}"
+            reason = f"there is no nozzle {spec.nozzle!r} in cell.nozzles"
+            raise problem.error(field, reason, f"did you mean {near}? {choices}" if near else choices)
 
 
 def check_board(problem: Problem) -> None:

@@ -134,9 +134,9 @@ def _about(model: Model, places: list[str]) -> str:
     if others := [f"`{place}`" for place in dict.fromkeys(places) if place != places[0]]:
         text += f" Likewise: {', '.join(others)}."
     extra: Any = model.model_config.get("json_schema_extra") or {}
-    choices = [each["required"][0] for each in extra.get("oneOf", ())]
-    if choices:
-        text += f" Exactly one of {', '.join(f'`{name}`' for name in choices)} is given."
+    for choices in (extra, *extra.get("allOf", ())):
+        if names := [f"`{each['required'][0]}`" for each in choices.get("oneOf", ())]:
+            text += f" Exactly one of {', '.join(names)} is given."
     return text
 
 

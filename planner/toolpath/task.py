@@ -163,6 +163,7 @@ class NozzleTask(ReadOnlyArrays):
     stops                where it comes to rest while material is deposited, in order of s
     travel_speed         the tip's at most between beads and from and to home [m/s]
     true_normals (n, 3)  unit normals of the surface, out of the part; None where the frames stand on them
+    material             that is laid, by its name
 
     Fixed is the tip, and the axis up to its cones; free are roll about the axis (periodic), tilt within the cone,
     and the holder's joints.
@@ -181,6 +182,7 @@ class NozzleTask(ReadOnlyArrays):
     stops: tuple[Stop, ...] = ()
     travel_speed: float = math.inf
     true_normals: Array | None = None
+    material: str = ""
 
     def __len__(self) -> int:
         return len(self.s)
@@ -227,7 +229,8 @@ def make_tasks(
         samples = (run.points, frames, run.s, run.first, run.last)
         judged = run.normals if cones.tilt > 0.0 else None
         own = bead.commanded(speed)
-        tasks.append(NozzleTask(i, bead.name, bead.layer, *samples, own, cones, stops, travel_speed, judged))
+        task = NozzleTask(i, bead.name, bead.layer, *samples, own, cones, stops, travel_speed, judged, bead.material)
+        tasks.append(task)
     return tuple(tasks)
 
 
