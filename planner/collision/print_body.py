@@ -16,6 +16,7 @@ from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.robot import bodies_with_tip
 from planner.cell.solids import Body, triangles_of
 from planner.collision.point_tree import FROM_THE_START, PointTree, point_tree
+from planner.problem import Problem
 from planner.problem.cell import NozzleSpec
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -280,10 +281,12 @@ def standing(cell: Cell) -> tuple[Body, ...]:
     return tuple(found)
 
 
-def tip_slack(nozzle: NozzleSpec, toolpath: Toolpath) -> Array:
-    """By how much less than TIP_SLOPE times the distance from the tip is kept beside each bead (n beads) [m]."""
-    face = nozzle_profile(nozzle)[0][1]
-    return TIP_SLOPE * (face + np.array([float((bead.height + bead.width).max()) for bead in toolpath.beads]))
+def tip_slack(problem: Problem, toolpath: Toolpath, nozzle: NozzleSpec | None = None) -> Array:
+    """By how much less than TIP_SLOPE times the distance from the tip is kept beside each bead (n beads) [m]: of this nozzle,
+    or of the one that lays the bead."""
+    own = [nozzle or problem.nozzle_of(bead.material) for bead in toolpath.beads]
+    sizes = [float((bead.height + bead.width).max()) for bead in toolpath.beads]
+    return TIP_SLOPE * (np.array([nozzle_profile(each)[0][1] for each in own]) + np.array(sizes))
 
 
 def _substrate(toolpath: Toolpath) -> Array | None:

@@ -310,7 +310,7 @@ def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBo
     """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
     body = body or print_body(toolpath, standing(cell))
     keep = problem.collision
-    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem.cell.nozzle, toolpath), body.tree, body))
+    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem, toolpath), body.tree, body))
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:

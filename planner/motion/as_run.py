@@ -7,7 +7,7 @@ how much is told at places along each bead, and is interpolated straight between
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint
 from planner.base.files import read_text
 from planner.cell.cell import Cell
+from planner.plan.plan import by_nozzle
 from planner.plan.trajectory import Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
@@ -141,14 +142,21 @@ def asked_trajectory(cell: Cell, trajectory: Trajectory, corrections: Correction
     shift = displacements(corrections, t)
     moved = np.flatnonzero((shift != 0.0).any(axis=1))
     q, tip = t.q.copy(), t.tip + shift
-    for rows in np.array_split(moved, 1 + len(moved) // BLOCK):
+    for own, rows in _blocks(cell, t, moved):
         T_part_nozzle = np.tile(np.eye(4), (len(rows), 1, 1))
         T_part_nozzle[:, :3, :3] = Rotation.from_quat(t.quat[rows]).as_matrix()
         T_part_nozzle[:, :3, 3] = tip[rows]
-        q[rows], exist = cell.postures(T_part_nozzle, t.q[rows], t.branch[rows].astype(np.intp))
+        q[rows], exist = own.postures(T_part_nozzle, t.q[rows], t.branch[rows].astype(np.intp))
         if not exist.all():
             raise ValueError("a displaced nozzle is out of reach")
     return replace(t, q=q, tip=tip)
+
+
+def _blocks(cell: Cell, t: Trajectory, moved: Indices) -> Iterator[tuple[Cell, Indices]]:
+    """Samples that are moved, in blocks, with the cell that has their nozzle in use."""
+    for own, stretch in by_nozzle(cell, t.events, t.t):
+        rows = moved[(moved >= stretch.start) & (moved < stretch.stop)]
+        yield from ((own, block) for block in np.array_split(rows, 1 + len(rows) // BLOCK))
 
 
 def corrections_of(problem: Problem, toolpath: Toolpath) -> Corrections | None:

@@ -19,6 +19,7 @@ from planner.motion.timing.timed_path import TimedPath
 from planner.motion.travel.plan import Travel, ViaRest
 from planner.motion.visits import Rest, Visit, rest_of, visits
 from planner.plan import TRAVEL, Trajectory
+from planner.plan.plan import by_nozzle
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.contacts import BeadContacts
@@ -84,8 +85,10 @@ def join(
         done += float(laid[-1])
     told = events(process, _spans(process, toolpath, timed, rests, starts))
     materials = [line.material for line in toolpath.beads]
-    tip, axis, quat = _poses(cell, q)
-    moving = np.linalg.norm(np.gradient(tip, dt, axis=0), axis=1)
+    tip, axis, quat, moving = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 4)), np.empty(n)
+    for own, rows in by_nozzle(cell, told, t):
+        tip[rows], axis[rows], quat[rows] = _poses(own, q[rows])
+        moving[rows] = np.linalg.norm(np.gradient(tip[rows], dt, axis=0), axis=1)
     turned = np.cumprod(np.where((quat[1:] * quat[:-1]).sum(axis=1) < 0.0, -1.0, 1.0))
     quat[1:] *= turned[:, None]
     return Trajectory(

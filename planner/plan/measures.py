@@ -299,6 +299,12 @@ CHECKS: dict[str, Measure] = {
     "recorded layers and lengths": Measure(
         "", "a bead's samples name its layer, travel's that of a bead beside it and no length along one", "counted"
     ),
+    "nozzles changed at home": Measure(
+        "deg",
+        "the arm is at home where another nozzle comes into use",
+        "joints of the samples at which another material is selected",
+        "cell.nozzles are several",
+    ),
     "starts and ends at home": Measure(
         "deg", "the arm starts at home and comes back there", "joints of the first and the last sample"
     ),

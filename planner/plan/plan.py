@@ -5,6 +5,7 @@ SI units and radians, but for metrics, whose names have their units, and columns
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from html import escape
@@ -308,6 +309,15 @@ class Plan:
         return cls(cell=cell, **parts)
 
     @property
+    def stretches(self) -> tuple[Plan, ...]:
+        """The plan itself; of a print with several nozzles a plan for each time that one is in use, from home to home."""
+        t = self.trajectory
+        found = by_nozzle(self.cell, t.events, t.t)
+        if len(found) == 1:
+            return (replace(self, cell=found[0][0]),) if self.cell.nozzles else (self,)
+        return tuple(replace(self, cell=cell, trajectory=t.part(rows)) for cell, rows in found)
+
+    @property
     def first_bead(self) -> int:
         """Index of the first bead that is laid; not 0 where an interrupted print is resumed."""
         return self.trajectory.first_bead
@@ -512,6 +522,20 @@ def selected(materials: Sequence[str], events: Sequence[Event], t: Array) -> NDA
     chosen = sorted((event for event in events if event.kind in SELECTS), key=lambda event: event.start)
     which = [materials.index(event.material) if event.material in materials else NONE for event in chosen]
     return np.array([NONE, *which])[np.searchsorted([event.start for event in chosen], t, side="right")]
+
+
+def by_nozzle(cell: Cell, events: Sequence[Event], t: Array) -> tuple[tuple[Cell, slice], ...]:
+    """The instants t (n) in stretches, in each of which one nozzle is in use, that of the material which is selected: the
+    cell with it, and its samples."""
+    if not cell.nozzles:
+        return ((cell, slice(0, len(t))),)
+    names = list(cell.nozzle_of)
+    which = selected(names, events, t)
+    known = which[which != NONE]
+    which[which == NONE] = known[0] if len(known) else 0  # it is there before its material is selected
+    nozzle = np.array(list(cell.nozzle_of.values()))[which]
+    bounds = [0, *(np.flatnonzero(np.diff(nozzle)) + 1).tolist(), len(t)]
+    return tuple((cell.with_nozzle(int(nozzle[a])), slice(a, b)) for a, b in itertools.pairwise(bounds))
 
 
 def filament_areas(problem: Problem, events: Sequence[Event], t: Array) -> Array | float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, ReadOnlyArrays
 
 TRAVEL = -1  # index of the bead where there is none
+WHOLE = ("dt", "events", "first_bead")  # fields of a trajectory that are not by sample
 
 
 @dataclass(frozen=True)
@@ -93,13 +94,28 @@ class Trajectory(ReadOnlyArrays):
         wide = {"q": joints, "tip": 3, "quat": 4, "axis": 3}
         counted, flags = ("bead", "layer", "branch"), ("deposit",)
         for each in fields(self):
-            if each.name not in ("dt", "events", "first_bead"):
+            if each.name not in WHOLE:
                 value, name = getattr(self, each.name), each.name
                 kind = "i" if name in counted else "b" if name in flags else "f"
                 shape = (n, wide[name]) if name in wide else (n,)
                 if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype.kind != kind:
                     return False
         return all(isinstance(event, Event) for event in self.events)
+
+    def part(self, rows: slice) -> Trajectory:
+        """Some samples as a motion of their own, whose time, filament and volume begin at 0."""
+        a, b = rows.start, rows.stop
+        begin, end = self.t[a - 1] if a else -np.inf, self.t[b - 1] if b < len(self) else np.inf
+        laid = self.bead[rows][self.bead[rows] != TRAVEL]
+        own = {each.name: getattr(self, each.name)[rows] for each in fields(self) if each.name not in WHOLE}
+        own |= {name: own[name] - own[name][0] for name in ("t", "extruded", "feed")}
+        events = [event for event in self.events if begin < event.start <= end]
+        return replace(
+            self,
+            **own,
+            events=tuple(replace(event, start=event.start - float(self.t[a])) for event in events),
+            first_bead=int(laid.min()) if len(laid) else self.first_bead,
+        )
 
     @property
     def begun(self) -> NDArray[np.int64]:

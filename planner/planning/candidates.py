@@ -16,9 +16,10 @@ from planner.base.errors import Refusal
 from planner.motion.travel.plan import Travel
 from planner.plan import Trajectory
 from planner.planning.context import PlanningContext
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import binds_table
-from planner.resolve.sqp import BEYOND, given_prices, refine_paths
+from planner.resolve.sqp import BEYOND, Priced, given_prices, refine_paths
 from planner.resolve.strategies import STRATEGIES
 from planner.resolve.terms import model_of
 from planner.verify.verdict import Report
@@ -128,7 +129,11 @@ def _simpler_paths(
 ) -> Iterator[tuple[str, Sequence[JointPath]]]:
     """Paths of the simpler strategies, refined and as they are, less those that keep to no cones or promise nothing."""
     cell, settings, obstacles = given.cell, given.problem.resolve, given.obstacles
-    model = model_of(cell)
+
+    def prices_of(paths: Sequence[JointPath]) -> list[Priced]:
+        each = [(model_of(own), [paths[i] for i in which]) for own, which in nozzles_of(cell, paths)]
+        return [price for model, mine in each for price in given_prices(model, mine, settings).values()]
+
     names: tuple[str, ...] = SIMPLER
     most, worth_refining = np.inf, np.inf
     if own is not None and own.verified:
@@ -137,13 +142,13 @@ def _simpler_paths(
         )
         names = tuple(name for name in SIMPLER if not (covered and name in COVERED))
         ideal = own.report.metrics["ideal_deposition_time_s"]
-        lost = sum(price.lost for price in given_prices(model, own.paths, settings).values())
+        lost = sum(price.lost for price in prices_of(own.paths))
         margin = SAME_SPEED if _travel_share(own) > TRAVEL_SHARE else -WORTH_TIMING
         most = np.inf if waypoints <= TINY else lost + margin * ideal
         worth_refining = np.inf if waypoints <= TINY else lost + FAR_BEHIND * ideal
 
     def within(paths: Sequence[JointPath], beyond: float, most: float) -> bool:
-        prices = given_prices(model, paths, settings).values()
+        prices = prices_of(paths)
         return all(price.beyond <= beyond for price in prices) and sum(price.lost for price in prices) <= most
 
     for name in names:

@@ -14,7 +14,7 @@ from planner.base.errors import PlannerError
 from planner.planning.context import PlanningContext, context_elsewhere, digest_of, found_anywhere
 from planner.resolve.joint_path import JointPath, choose_turns
 from planner.resolve.ladder import ladder
-from planner.resolve.sqp import Priced, given_prices, refine_beads, sigma_floor
+from planner.resolve.sqp import Priced, given_prices, refine_beads, refine_paths, sigma_floor
 from planner.resolve.terms import model_of, terms_of
 
 Joints = tuple[Array, Array, Array, int]  # roll, tilt, joints and branch of a JointPath
@@ -28,6 +28,8 @@ def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
     """The joint paths of strategy `sqp`, bit for bit, refined where `over` spreads them. Raises Refusal as `sqp` does."""
     problem, cell, settings = given.problem, given.cell, given.problem.resolve
     paths = ladder(cell, given.tasks, settings, given.obstacles)
+    if cell.nozzles:  # a worker's model is that of one nozzle
+        return refine_paths(cell, paths, settings, given.obstacles)
     prices = given_prices(model_of(cell, given.obstacles, terms_of(settings.weights)), paths, settings)
     floor = sigma_floor(prices, settings)
     where = found_anywhere(problem), problem.overrides, digest_of(cell, given.tasks)

@@ -18,7 +18,11 @@ from planner.base.arrays import Array, Ints
 from planner.base.errors import Refusal
 from planner.base.geometry import angles_between
 from planner.base.progress import Stages
+from planner.cell.cell import Cell
+from planner.collision.scene import Obstacles
 from planner.planning.context import PlanningContext
+from planner.problem.settings import ResolveSpec
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import spread
 from planner.resolve.ladder import MOST_NODES, binds_table, coarse_grid, ladder
 from planner.resolve.nodes import evaluate
@@ -66,20 +70,30 @@ def best_leans(given: PlanningContext) -> list[Array] | None:
     if most < _LEAST:
         return None
     tilts = np.concatenate([np.zeros((1, 2)), *(most * share * _circle(_AZIMUTHS) for share in _RINGS)])
+    found: dict[int, Array | None] = {}
+    for own, which in nozzles_of(cell, tasks):
+        obstacles = given.obstacles if own is cell else given.obstacles.of(own)
+        found |= zip(which, _least_dear(own, [tasks[i] for i in which], settings, obstacles, tilts, most), strict=True)
+    leans = [lean for _, lean in sorted(found.items()) if lean is not None]
+    return leans if len(leans) == len(tasks) else None
+
+
+def _least_dear(
+    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles, tilts: Array, most: float
+) -> list[Array | None]:
+    """For each task of one nozzle its tilts, see `best_leans`, or None; of some (k, 2) up to the greatest [rad]."""
     demand, grid = coarse_grid(cell, tasks, settings, MOST_NODES)
     prices = []
     for tilt in tilts:
         turn = Rotation.from_rotvec([*tilt, 0.0]).as_matrix()
-        nodes = evaluate(cell, replace(demand, frames=demand.frames @ turn), grid, settings.min_sigma, given.obstacles)
+        nodes = evaluate(cell, replace(demand, frames=demand.frames @ turn), grid, settings.min_sigma, obstacles)
         prices.append(nodes.price.min(axis=(1, 2)))
     price = np.stack(prices, axis=1)  # (rungs, tilts, branches)
-    found = []
+    found: list[Array | None] = []
     for k, task in enumerate(tasks):
         rungs = demand.rungs_of(k)
         chosen = cheapest_leans(price[rungs], tilts / most)
-        if chosen is None:
-            return None
-        found.append(spread(tilts[chosen], len(task), demand.place[rungs]))
+        found.append(None if chosen is None else spread(tilts[chosen], len(task), demand.place[rungs]))
     return found
 
 

@@ -43,10 +43,12 @@ def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: f
 
     Room is left for the runs that pieces have at their ends.
     """
-    demand, nodes = coarse_nodes(given.cell, [task], given.problem.resolve, MOST_NODES, given.obstacles)
+    cell = given.cell.at(task.material)
+    obstacles = given.obstacles if cell is given.cell else given.obstacles.of(cell)
+    demand, nodes = coarse_nodes(cell, [task], given.problem.resolve, MOST_NODES, obstacles)
     spin = float(np.linalg.norm(demand.twist[:, 3:], axis=1).max()) / task.speed  # rad/m
     room = given.cell.limits.room + min(_RUNS * given.problem.process.run_in * spin, _MOST_RUNS) + more_room
-    return pauses_of(given.cell, task, demand, nodes, least, room) or ()
+    return pauses_of(cell, task, demand, nodes, least, room) or ()
 
 
 def _places(task: NozzleTask, guide: NozzleTask, pauses: Sequence[Pause]) -> list[tuple[float, str]]:

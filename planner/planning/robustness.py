@@ -148,7 +148,7 @@ def _axes(signs: Sequence[float]) -> str:
 def _try(displacement: Displacement, elsewhere: Cell, paths: Sequence[JointPath], again: Again) -> TriedDisplacement:
     """The paths followed where the part stands displaced, and verified there; or why they cannot be."""
     try:
-        report = again(elsewhere, [followed(elsewhere, path) for path in paths])
+        report = again(elsewhere, [followed(elsewhere.at(path.task.material), path) for path in paths])
     except PlannerError as error:  # whatever the user would be told of a part that stands there
         return TriedDisplacement(displacement, refusal=str(error))
     return TriedDisplacement(displacement, report.checks, report.metrics)
@@ -190,7 +190,8 @@ def first_order(
     tightest: dict[int, Bound] = {}
     for path in paths:
         for rows in _blocks(len(path.task)):
-            for k, bound in enumerate(_bounds(cell, path, rows, tolerance, middle, least_sigma)):
+            own = cell.at(path.task.material)
+            for k, bound in enumerate(_bounds(own, path, rows, tolerance, middle, least_sigma)):
                 if k not in tightest or bound.factor < tightest[k].factor:
                     tightest[k] = bound
     *joints, sigma = (tightest[k] for k in sorted(tightest))

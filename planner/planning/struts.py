@@ -35,19 +35,22 @@ def check_struts(given: PlanningContext) -> None:
     problem, beads = given.problem, given.toolpath.beads
     if not beads[0].round or problem.process.cones.tilt > 0.0:
         return
-    head, tree = packed(given.cell.head), given.body.tree
+    heads = {name: given.cell.at(name).head for name in {bead.material for bead in beads}}
+    solids, tree = {name: packed(head) for name, head in heads.items()}, given.body.tree
     clearance = 0.0 if may_come_nearer(problem) else problem.collision.nozzle
-    slack = tip_slack(problem.cell.nozzle, given.toolpath)
+    slack = tip_slack(problem, given.toolpath)
     for k in range(given.first_bead, len(beads)):
         bead, task = beads[k], given.tasks[k - given.printed]
         s, motion = _along(bead)
         now = np.minimum(k + s / bead.length, np.nextafter(k + 1.0, 0.0))
-        found = nozzle_nearness(tree, head, motion, now, np.full(len(s), slack[k]), clearance, look=0.0)
+        found = nozzle_nearness(
+            tree, solids[bead.material], motion, now, np.full(len(s), slack[k]), clearance, look=0.0
+        )
         if found.point < 0 or found.least >= -DIGITS:
             continue
         at = s[found.at]
         i = task.first + int(np.argmin(np.abs(bead.s - at)))
-        name, near = given.cell.head[found.body].name, given.body.name_of(found.point)
+        name, near = heads[bead.material][found.body].name, given.body.name_of(found.point)
         down = descent(task, i)
         reason = f"collision of {name} with {near}: with the axis that is given every posture lacks {-found.least * 1e3:.2f} mm"
         if near == f"bead {k}" and down > 0.0:

@@ -12,6 +12,7 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
+from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.infeasible import refuse_rung
 from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
@@ -21,6 +22,7 @@ from planner.resolve.search import JUMP, SPEED_SHARE, LadderRoute, greedy_route,
 from planner.toolpath.task import NozzleTask
 
 
+@with_each_nozzle
 def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """The nozzle's orientation in the world stays that of the home posture, as nearly as its axis allows; the
     table does all the turning (Pollard, eq. 2 and section 3). The branch is that of the home posture.
@@ -64,6 +66,7 @@ def _turn_to_face(cell: Cell, task: NozzleTask, direction: Array) -> Array:
     return chosen
 
 
+@with_each_nozzle
 def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """The best constant roll for the whole print, and for it the best constant table angle and branch per bead.
 
@@ -117,6 +120,7 @@ def _held_price(nodes: Nodes, demand: SampledTasks, limits: Limits, task: int) -
     return np.asarray(total)
 
 
+@with_each_nozzle
 def greedy(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """Always the next best candidate on the ladder's coarse grid, never looking further."""
     demand, nodes = coarse_nodes(cell, tasks, settings)

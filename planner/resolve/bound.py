@@ -31,6 +31,7 @@ from planner.base.processes import in_blocks
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, invert6, jacobian_at, mul4, pose_of
 from planner.cell.kinematics.inverse import ON_RAIL, SPHERICAL_WRIST, branches_of, solve_one
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import sample_tasks
 from planner.resolve.reach import arm_numbers, flange_pose, nearest_turns
 from planner.toolpath.task import NozzleTask
@@ -564,6 +565,11 @@ def bound_any_path(cell: Cell, tasks: Sequence[NozzleTask]) -> float:
     The nozzle stands on the surface: not for tasks that may tilt it. No less than the length over the commanded speed.
     Of a cell with at most MOST_CHOSEN chosen joints.
     """
+    return sum(_bound_of(own, [tasks[i] for i in which]) for own, which in nozzles_of(cell, tasks))
+
+
+def _bound_of(cell: Cell, tasks: Sequence[NozzleTask]) -> float:
+    """The same of tasks of the nozzle that is in use."""
     demand = sample_tasks(tasks, _ANY_RUNG)
     lattice, steps = _lattice(cell)
     arm, numbers = arm_numbers(cell), _cell_numbers(cell)

@@ -39,6 +39,7 @@ def repeated(task: NozzleTask, i: int, n: int) -> NozzleTask:
         0,
         n - 1,
         task.speed,
+        material=task.material,
     )
 
 
@@ -48,7 +49,16 @@ def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacle
 
     What is refused on a grid may pass on another one at the place where that ended, and still have no way elsewhere.
     """
-    return all(_passed(cell, tasks[k], i, obstacles) for k, i in (*_named(tasks, refusal), *_spread(tasks)))
+    around = {
+        task.material: (own := cell.at(task.material), obstacles if own is cell else obstacles.of(own))
+        for task in tasks
+    }
+
+    def passed(task: NozzleTask, i: int) -> bool:
+        own, there = around[task.material]
+        return _passed(own, task, i, there)
+
+    return all(passed(tasks[k], i) for k, i in (*_named(tasks, refusal), *_spread(tasks)))
 
 
 def _passed(cell: Cell, task: NozzleTask, i: int, obstacles: Obstacles) -> bool:

@@ -13,6 +13,7 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.infeasible import refuse_collision, refuse_rung
 from planner.resolve.joint_path import (
     MARGIN,
@@ -309,6 +310,7 @@ _TURN_SHARE = 0.7  # of a table's step of the grid, which the normal may turn by
 _LATTICE = 9  # angles at which a chosen joint is held there, at most
 
 
+@with_each_nozzle
 def ladder(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
 ) -> tuple[JointPath, ...]:

@@ -14,6 +14,7 @@ from planner.base.processes import in_threads
 from planner.base.singular_values import least_singular_values
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import JointPath, flange_poses
 from planner.toolpath.task import NozzleTask
 
@@ -161,6 +162,7 @@ def _postures(cell: Cell, places: _Places, roll: Array) -> tuple[Array, NDArray[
 
 
 _Judgement = tuple[NDArray[np.uint8], Array, Array, Array]
+_JUDGED = ("why", "sigma", "limit", "clearance")
 
 
 def _judged(
@@ -270,11 +272,35 @@ def roll_maps(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles, min_
 
     Of the whole alone, if it has few beads, and so shows them well.
     """
-    whole = roll_map(cell, paths, obstacles, min_sigma, _columns(paths, COLUMNS))
+    parts: list[RollMap] = []
+    around: dict[int, tuple[Cell, Obstacles]] = {}
+    columns = _columns(paths, COLUMNS)
+    for own, which in nozzles_of(cell, paths):
+        there = obstacles if own is cell else obstacles.of(own)
+        mine = [paths[i] for i in which]
+        around |= dict.fromkeys(which, (own, there))
+        parts.append(roll_map(own, mine, there, min_sigma, max(round(columns * len(mine) / len(paths)), 2)))
+    whole = parts[0] if len(parts) == 1 else _in_order(parts, paths)
     if len(paths) * BEAD_COLUMNS <= len(whole.s):
         return (whole,)
-    single = ([paths[i]] for i in _tightest(cell, paths))
-    return (whole, *(roll_map(cell, one, obstacles, min_sigma, _columns(one, BEAD_COLUMNS)) for one in single))
+    tightest = _tightest([around[i][0] for i in range(len(paths))], paths)
+    single = [
+        roll_map(around[i][0], [paths[i]], around[i][1], min_sigma, _columns([paths[i]], BEAD_COLUMNS))
+        for i in tightest
+    ]
+    return (whole, *single)
+
+
+def _in_order(parts: Sequence[RollMap], paths: Sequence[JointPath]) -> RollMap:
+    """Maps of the beads of several nozzles as one, in the order of the beads."""
+    lengths = [path.task.s[path.task.last] - path.task.s[path.task.first] for path in paths]
+    before = dict(zip((path.task.bead for path in paths), np.cumsum([0.0, *lengths]), strict=False))
+    each = {name: [getattr(part, name) for part in parts] for name in ("bead", "s", "chosen", *_JUDGED)}
+    rows = {name: np.concatenate(values) for name, values in each.items()}
+    order = np.argsort(rows["bead"], kind="stable")
+    rows = {name: values[order] for name, values in rows.items()}
+    along = np.array([before[bead] for bead in rows["bead"].tolist()]) + rows["s"]
+    return RollMap(along=along, roll=parts[0].roll, **rows)
 
 
 def _columns(paths: Sequence[JointPath], most: int) -> int:
@@ -282,11 +308,12 @@ def _columns(paths: Sequence[JointPath], most: int) -> int:
     return min(max(round(length / FINEST), 2), most)
 
 
-def _tightest(cell: Cell, paths: Sequence[JointPath]) -> tuple[int, ...]:
-    """Indices of the paths that come nearest to a singularity and to the end of an arm joint's range, in this order."""
-    na = len(cell.arm)
+def _tightest(cells: Sequence[Cell], paths: Sequence[JointPath]) -> tuple[int, ...]:
+    """Indices of the paths, each in its cell, that come nearest to a singularity and to the end of an arm joint's range, in
+    this order."""
+    na = len(cells[0].arm)
     sigma, limit = [], []
-    for path in paths:
+    for cell, path in zip(cells, paths, strict=True):
         arm = path.q[path.task.first : path.task.last + 1, :na]
         jacobians = cell.arm.jacobians(arm[:: max(len(arm) // _FEW, 1)])[:, :, list(cell.solved)]
         sigma.append(least_singular_values(jacobians).min())

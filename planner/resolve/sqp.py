@@ -17,6 +17,7 @@ from planner.base.processes import MANY, Job, cores, in_halves, in_turn, of_each
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
+from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.drawn import SLIGHT
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder, runs_backwards
@@ -141,6 +142,7 @@ def sqp(
     return refine_paths(cell, ladder(cell, tasks, settings, obstacles), settings, obstacles)
 
 
+@with_each_nozzle
 def refine_paths(
     cell: Cell,
     paths: Sequence[JointPath],

@@ -15,6 +15,7 @@ from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.collision.print_body import PrintBody
 from planner.plan import Check, Trajectory
+from planner.plan.plan import by_nozzle
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -50,6 +51,15 @@ class Judged:
     def samples(self) -> list[NDArray[np.intp]]:
         """Samples of each bead of the toolpath: see `samples_of`."""
         return samples_of(self.trajectory, len(self.toolpath.beads))
+
+    @cached_property
+    def stretches(self) -> tuple[tuple[Cell, slice], ...]:
+        """The cell with the nozzle that is in use, and the samples of which it is: see `by_nozzle`."""
+        return by_nozzle(self.cell, self.trajectory.events, self.trajectory.t)
+
+    def cell_at(self, sample: int) -> Cell:
+        """The cell with the nozzle that is in use at a sample."""
+        return next(cell for cell, rows in self.stretches if sample < rows.stop)
 
     @cached_property
     def commanded(self) -> Array:

@@ -8,18 +8,21 @@ An instant is a time in parts of a sample (_PARTS of them); n counts samples, p 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from planner.base.arrays import Array, Ints
+from planner.cell.bodies import NOZZLE, OF
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, Mesh, Packed, packed
 from planner.cell.urdf import link_frame
 from planner.collision.point_tree import SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
 from planner.plan import Approach, Check, Trajectory
+from planner.plan.plan import by_nozzle
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
@@ -94,26 +97,39 @@ def part_thing(bodies: CellBodies) -> CheckedBody:
 class Apart:
     """How near bodies of the cell and the print come to each other.
 
+    rows        samples in which that is so: while one nozzle is in use
     hits        pairs of bodies, and
     near_print  bodies that can come near the print; swept is of both, in this order
     """
 
+    rows: slice
     bodies: CellBodies
     hits: tuple[Pair, ...]
     near_print: tuple[PrintPair, ...]
     swept: Swept
 
 
-def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> Apart:
-    """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`."""
-    spec = problem.collision
-    bodies = CellBodies.of(cell)
-    hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
+def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, body: PrintBody) -> tuple[Apart, ...]:
+    """Least distances of robots, fixtures and print from each other along a trajectory; body: as for `verify`.
+
+    One nozzle after the other, as they are in use."""
+    spec, now = problem.collision, print_times(toolpath, t)
     alone = body.without_bodies  # bodies that stand with the print are exact among the pairs
-    return Apart(bodies, hits, near_print, sweep(bodies, (*hits, *near_print), t.q, alone, print_times(toolpath, t)))
+    known: dict[int, tuple[CellBodies, tuple[Pair, ...], tuple[PrintPair, ...]]] = {}
+    found = []
+    for own, rows in by_nozzle(cell, t.events, t.t):
+        if own.in_use not in known:
+            bodies = CellBodies.of(own)
+            known[own.in_use] = bodies, pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
+        bodies, hits, near_print = known[own.in_use]
+        swept = sweep(bodies, (*hits, *near_print), np.ascontiguousarray(t.q[rows]), alone, now[rows])
+        found.append(Apart(rows, bodies, hits, near_print, swept))
+    return tuple(found)
 
 
-def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) -> tuple[Findings, tuple[Approach, ...]]:
+def keep_apart(
+    judged: Judged, near: tuple[Nearness, Nearness], apart: Sequence[Apart]
+) -> tuple[Findings, tuple[Approach, ...]]:
     """The checks of nozzle, head, links, fixtures and print, and the pairs of bodies that come nearest.
 
     near: the results of `by_the_tip` and `beyond`; apart: of `sweep_cell`. Distances are found up to FAR;
@@ -121,9 +137,12 @@ def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) ->
     """
     cell, t, body, spec = judged.cell, judged.trajectory, judged.body, judged.problem.collision
     rule, beyond = near
-    hits, swept = apart.hits, apart.swept
-    found = _approaches(apart.bodies, (*hits, *apart.near_print), swept, body.without_bodies)
-    robots, prints = found[: len(hits)], found[len(hits) :]
+    robots: tuple[Approach, ...] = ()
+    prints: tuple[Approach, ...] = ()
+    for each in apart:
+        found = _approaches(each, body.without_bodies)
+        robots, prints = (*robots, *found[: len(each.hits)]), (*prints, *found[len(each.hits) :])
+    swept_nearest = np.concatenate([each.swept.nearest for each in apart])
     checks = (
         check_nozzle(judged, near),
         _check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)),
@@ -131,29 +150,49 @@ def keep_apart(judged: Judged, near: tuple[Nearness, Nearness], apart: Apart) ->
     )
     nozzle = []
     asked = (beyond, spec.nozzle), (rule, asked_at(judged, rule))
-    for each, need in asked if rule.least < 0.0 else asked[:1]:
-        if each.point >= 0 and each.least + need < FAR:
-            names = cell.head[each.body].name, body.name_of(each.point)
-            nozzle.append(Approach(*names, each.least + need, need, each.at))
+    for one, need in asked if rule.least < 0.0 else asked[:1]:
+        if one.point >= 0 and one.least + need < FAR:
+            names = judged.cell_at(one.at).head[one.body].name, body.name_of(one.point)
+            nozzle.append(Approach(*names, one.least + need, need, one.at))
     distances = {
         "nozzle_clearance_min_mm": min(FAR, beyond.least + spec.nozzle),
-        "arm_clearance_min_mm": min((each.distance for each in prints), default=FAR),
-        "robot_clearance_min_mm": min((each.distance for each in robots), default=FAR),
+        "arm_clearance_min_mm": min((approach.distance for approach in prints), default=FAR),
+        "robot_clearance_min_mm": min((approach.distance for approach in robots), default=FAR),
     }
     metrics = {name: distance * 1e3 for name, distance in distances.items()}
     metrics["clearance_min_mm"] = min(distances.values()) * 1e3
-    series = {"clearance_mm": np.clip(np.minimum(beyond.margin + spec.nozzle, swept.nearest), None, FAR) * 1e3}
-    close = [each for each in (*nozzle, *robots, *prints) if each.distance < FAR]
+    series = {"clearance_mm": np.clip(np.minimum(beyond.margin + spec.nozzle, swept_nearest), None, FAR) * 1e3}
+    close = [approach for approach in (*nozzle, *robots, *prints) if approach.distance < FAR]
     nearest = tuple(sorted(_once(close), key=_spare)[:MOST_APPROACHES])
     return Findings(checks, metrics, series), nearest
 
 
 def check_start(problem: Problem, cell: Cell) -> None:
-    """Raise InputError where bodies are too near to each other in the start posture: no plan from there could pass."""
+    """Raise InputError where bodies are too near to each other in the start posture, with any nozzle in use, or where nozzles
+    touch each other: no plan from there could pass."""
+    for k in range(max(len(cell.nozzles), 1)):
+        bodies = CellBodies.of(cell.with_nozzle(k))
+        _check_nozzles_apart(problem, bodies)
+        _check_start(problem, bodies)
+
+
+def _check_nozzles_apart(problem: Problem, bodies: CellBodies) -> None:
+    """Raise InputError where nozzles that are on the flange together touch each other."""
+    poses, distances = bodies.poses(bodies.cell.home[None])[0], Distances(bodies)
+    heads = [
+        i for i, thing in enumerate(bodies.things) if thing.kind == HEAD and thing.name.startswith(f"{NOZZLE}{OF}")
+    ]
+    for i, j in itertools.combinations(heads, 2):
+        one, other = (bodies.things[k].name.removeprefix(f"{NOZZLE}{OF}") for k in (i, j))
+        if one != other and distances.of(Pair(i, j, 0.0, np.empty(0)), poses) <= 0.0:
+            hint = "set tip_mm and axis apart, or mounted: one, where they are exchanged"
+            raise problem.error(f"cell.nozzles.{other}", f"it touches the nozzle {one}", hint)
+
+
+def _check_start(problem: Problem, bodies: CellBodies) -> None:
     spec = problem.collision
-    bodies = CellBodies.of(cell)
     found = all_at_home(bodies, pairs(bodies, spec.nozzle, spec.arm), spec.nozzle)
-    poses, distances = bodies.poses(cell.home[None])[0], Distances(bodies)
+    poses, distances = bodies.poses(bodies.cell.home[None])[0], Distances(bodies)
     apart = [distances.of(pair, poses) for pair in found]
     lacking = [distance - pair.need for distance, pair in zip(apart, found, strict=True)]
     if not lacking or min(lacking) >= -DIGITS:
@@ -320,11 +359,10 @@ def _once(approaches: list[Approach]) -> list[Approach]:
     return list(worst.values())
 
 
-def _approaches(
-    bodies: CellBodies, found: tuple[Pair | PrintPair, ...], swept: Swept, body: PrintBody
-) -> tuple[Approach, ...]:
+def _approaches(apart: Apart, body: PrintBody) -> tuple[Approach, ...]:
     """The approach of each pair."""
-    out = []
+    bodies, swept, out = apart.bodies, apart.swept, []
+    found: tuple[Pair | PrintPair, ...] = (*apart.hits, *apart.near_print)
     for k, pair in enumerate(found):
         point = int(swept.points[k])
         if isinstance(pair, Pair):
@@ -332,7 +370,9 @@ def _approaches(
         else:
             other = body.name_of(point) if point >= 0 else ""
         a = bodies.name(bodies.things[pair.a])
-        out.append(Approach(a, other, float(swept.distance[k]), pair.need, round(float(swept.at[k]))))
+        out.append(
+            Approach(a, other, float(swept.distance[k]), pair.need, apart.rows.start + round(float(swept.at[k])))
+        )
     return tuple(out)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,7 @@ COLOURS = {HEAD: "#4a525b", FIXTURE: "#c3c9cf", CARRIED: "#b9a06a"}
 
 def cell_view(cell: Cell) -> CellView:
     """What a cell looks like with all joints at 0; bodies by the names that approaches give them."""
-    bodies = CellBodies.of(cell)
+    bodies = with_all_nozzles(CellBodies.of(cell))
     drawn = list(_drawn(bodies))
     return CellView(
         names=tuple(things[0].link or bodies.name(things[0]) for things, _ in drawn),
@@ -33,6 +34,14 @@ def cell_view(cell: Cell) -> CellView:
         triangles=tuple(surface.triangles for _, surface in drawn),
         joints=np.array([bodies.moved_by(things[0]) for things, _ in drawn], dtype=np.int64).reshape(-1, 2),
     )
+
+
+def with_all_nozzles(bodies: CellBodies) -> CellBodies:
+    """The bodies, and those of nozzles that are not on the flange while the cell's own is in use."""
+    there = {thing.name for thing in bodies.things}
+    others = (CellBodies.of(bodies.cell.with_nozzle(k)) for k in range(len(bodies.cell.nozzles)))
+    more = [thing for other in others for thing in other.things if thing.name not in there]
+    return replace(bodies, things=(*bodies.things, *more))
 
 
 def _drawn(bodies: CellBodies) -> Iterator[tuple[list[CheckedBody], TriangleSurface]]:

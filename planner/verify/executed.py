@@ -16,6 +16,7 @@ from planner.cell.cell import Cell
 from planner.cell.robot import joint_axis
 from planner.cell.urdf import link_frame
 from planner.plan import Trajectory
+from planner.plan.plan import by_nozzle
 
 UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse kinematics itself
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
@@ -42,6 +43,10 @@ class ExecutedMotion:
     det: Array
     branch: NDArray[np.int8]
 
+    def rows(self, rows: slice) -> ExecutedMotion:
+        """Some samples of a motion, in its own memory."""
+        return ExecutedMotion(**{name: values[rows] for name, values in vars(self).items()})
+
 
 def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
     """Forward kinematics and Jacobians of every sample by Pinocchio, and beside it in a thread what follows from them."""
@@ -58,18 +63,14 @@ def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
     )
     with ThreadPoolExecutor(1) as pool:
         found = []
-        for start in range(0, n, BLOCK):
-            rows = slice(start, min(start + BLOCK, n))
-            q, block = np.ascontiguousarray(trajectory.q[rows]), _rows(whole, rows)
-            found.append(pool.submit(_fill, block, cell, q, trajectory.deposit[rows], *_nozzle(cell, q)))
+        for own, stretch in by_nozzle(cell, trajectory.events, trajectory.t):
+            for start in range(stretch.start, stretch.stop, BLOCK):
+                rows = slice(start, min(start + BLOCK, stretch.stop))
+                q, block = np.ascontiguousarray(trajectory.q[rows]), whole.rows(rows)
+                found.append(pool.submit(_fill, block, own, q, trajectory.deposit[rows], *_nozzle(own, q)))
         for each in found:
             each.result()
     return whole
-
-
-def _rows(motion: ExecutedMotion, rows: slice) -> ExecutedMotion:
-    """Some samples of a motion, in its own memory."""
-    return ExecutedMotion(**{name: values[rows] for name, values in vars(motion).items()})
 
 
 def _fill(

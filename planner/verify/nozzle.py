@@ -11,7 +11,9 @@ between samples as long as the least margin cannot lie there. All is in the part
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,6 +34,7 @@ from planner.collision.point_tree import (
 from planner.collision.print_body import TIP_SLOPE, tip_slack
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
+from planner.problem.cell import NozzleSpec
 from planner.toolpath.bead import Toolpath
 from planner.verify.checks import DIGITS, EVERYWHERE, FAR, TOLERANCE, Judged, place
 from planner.verify.executed import ExecutedMotion
@@ -405,9 +408,9 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
     return np.asarray(np.maximum.accumulate(now), dtype=float)
 
 
-def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory) -> Array:
-    """Slack at the tip (n) [m] at each sample: of its bead, in travel the greater one of the beads at its ends."""
-    own = tip_slack(problem.cell.nozzle, toolpath)
+def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory, nozzle: NozzleSpec) -> Array:
+    """Slack at a nozzle's tip (n) [m] at each sample: of its bead, in travel the greater one of the beads at its ends."""
+    own = tip_slack(problem, toolpath, nozzle)
     begun = trajectory.begun
     last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(own) - 1)
     both = np.maximum(own[last], own[following])
@@ -463,20 +466,25 @@ def _way(motion: ExecutedMotion, now: Array, slack: Array, ahead: Ints) -> Nozzl
 
 def by_the_tip(judged: Judged) -> Nearness:
     """How near nozzle and head come to part and print, by the rule for the tip."""
-    problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
-    now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return nozzle_nearness(
-        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle, _look(toolpath)
-    )
+    return _nearest(judged, nozzle_nearness)
 
 
 def beyond(judged: Judged) -> Nearness:
     """How near nozzle and head come to part and print beyond the tip's zone."""
+    return _nearest(judged, beyond_the_tip)
+
+
+def _nearest(judged: Judged, look: Callable[..., Nearness]) -> Nearness:
+    """The least of what `look` finds with each nozzle while it is in use."""
     problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
-    now, slack = print_times(toolpath, t), slack_along(problem, toolpath, t)
-    return beyond_the_tip(
-        judged.body.tree, packed(judged.cell.head), judged.motion, now, slack, problem.collision.nozzle, _look(toolpath)
-    )
+    now, found = print_times(toolpath, t), []
+    for cell, rows in judged.stretches:
+        slack = slack_along(problem, toolpath, t, problem.cell.nozzle_named(cell.nozzle_name))[rows]
+        there = judged.body.tree, packed(cell.head), judged.motion.rows(rows), now[rows], slack
+        near = look(*there, problem.collision.nozzle, _look(toolpath))
+        found.append(replace(near, at=near.at + rows.start))
+    least = min(found, key=attrgetter("least"))
+    return least if len(found) == 1 else replace(least, margin=np.concatenate([near.margin for near in found]))
 
 
 def check_nozzle(judged: Judged, near: tuple[Nearness, Nearness]) -> Check:
@@ -501,7 +509,8 @@ def asked_at(judged: Judged, rule: Nearness) -> float:
     need = judged.problem.collision.nozzle
     if rule.point < 0:
         return need
-    slack = slack_along(judged.problem, judged.toolpath, judged.trajectory)[rule.at]
+    nozzle = judged.problem.cell.nozzle_named(judged.cell_at(rule.at).nozzle_name)
+    slack = slack_along(judged.problem, judged.toolpath, judged.trajectory, nozzle)[rule.at]
     return float(min(need, TIP_SLOPE * _away(judged, rule) - slack))
 
 
@@ -514,7 +523,7 @@ def _whose(judged: Judged, near: Nearness) -> str:
     """The place in words: which body, near what, and when."""
     if near.point < 0:
         return EVERYWHERE
-    pair = f"{judged.cell.head[near.body].name} and {judged.body.name_of(near.point)}"
+    pair = f"{judged.cell_at(near.at).head[near.body].name} and {judged.body.name_of(near.point)}"
     return f"{pair}, {place(judged.trajectory, near.at)}"
 
 

@@ -81,17 +81,24 @@ def pressed(judged: Judged) -> Findings:
 
 def deepest(judged: Judged) -> Pressed:
     """The deepest overlap of the nozzle's outline with beads that were laid before."""
-    profile = np.array(nozzle_profile(judged.problem.cell.nozzle))
-    t, motion = judged.trajectory, judged.motion
-    laid = laid_beads(judged)
-    reach = float(profile[0, 1] + (laid.width + laid.height).max())
+    t, motion, cell = judged.trajectory, judged.motion, judged.problem.cell
+    profiles = {
+        own.nozzle_name: np.array(nozzle_profile(cell.nozzle_named(own.nozzle_name))) for own, _ in judged.stretches
+    }
+    laid, face = laid_beads(judged), max(float(profile[0, 1]) for profile in profiles.values())
+    reach, shaped = face + float((laid.width + laid.height).max()), face + float(laid.width.max())
     rows = _rows(laid, reach / _CELLS)
     looks = _looks(motion.tip, motion.axis, _OFTEN * float(laid.height.min()), reach)
-    shaped = float(profile[0, 1] + laid.width.max())
-    depth, at, row, away = _deepest(rows, motion.tip, motion.axis, t.bead, looks, profile, reach, shaped)
-    if row < 0:
-        return Pressed()
-    return Pressed(float(depth), int(at), int(rows.bead[row]), float(away))
+    found = Pressed()
+    for own, samples in judged.stretches:
+        first, last = np.searchsorted(looks, [samples.start, samples.stop])
+        profile = profiles[own.nozzle_name]
+        depth, at, row, away = _deepest(
+            rows, motion.tip, motion.axis, t.bead, looks[first:last], profile, reach, shaped
+        )
+        if row >= 0 and depth > found.depth:
+            found = Pressed(float(depth), int(at), int(rows.bead[row]), float(away))
+    return found
 
 
 class Laid(NamedTuple):

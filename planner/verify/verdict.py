@@ -174,7 +174,7 @@ def _records(judged: Judged) -> Findings:
     checks.append(check_most(t, "recorded times and beads", odd.astype(float), 0.0, ""))
     astray = (t.bead == TRAVEL) & (t.s != 0.0) | (_layers_around(judged) != t.layer[:, None]).all(axis=1)
     checks.append(check_most(t, "recorded layers and lengths", astray.astype(float), 0.0, ""))
-    return Findings((*checks, _home(judged)))
+    return Findings((*checks, _home(judged), *_nozzles(judged)))
 
 
 def _layers_around(judged: Judged) -> NDArray[np.int64]:
@@ -197,6 +197,17 @@ def _home(judged: Judged) -> Check:
     for k in (0, -1):
         off[k] = max(off[k], np.abs(t.q[k, :arm] - judged.cell.home[:arm]).max())
     return check_most(t, "starts and ends at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
+
+
+def _nozzles(judged: Judged) -> Iterator[Check]:
+    """The check that the arm is at home where another nozzle comes into use."""
+    t, arm = judged.trajectory, len(judged.cell.arm)
+    if not judged.cell.nozzles:
+        return
+    off = np.zeros(len(t))
+    for _, rows in judged.stretches[1:]:
+        off[rows.start] = np.abs(t.q[rows.start, :arm] - judged.cell.home[:arm]).max()
+    yield check_most(t, "nozzles changed at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
 
 
 def joint_limits(judged: Judged) -> Findings:
@@ -359,6 +370,8 @@ def _speed(judged: Judged) -> Findings:
     # in a bead along the path, since chords cut sharp corners: that the tip is on the path at s is checked elsewhere
     inside = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
     step = np.where(inside, np.diff(t.s) / t.dt, step)
+    for _, rows in judged.stretches[1:]:
+        step[rows.start - 1] = 0.0  # another tip, not another place
     before, after = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     mean = 0.5 * (before + after)
     limit = commanded * (1.0 + SPEED_TOLERANCE)
@@ -366,7 +379,10 @@ def _speed(judged: Judged) -> Findings:
     around = np.stack(
         [np.concatenate([before[:1], before[:-1]]), before, after, np.concatenate([after[1:], after[-1:]])]
     )
-    own = np.linalg.norm(np.gradient(motion.tip, t.dt, axis=0), axis=1) if len(t) > 1 else np.zeros(1)
+    own = np.zeros(len(t))
+    for _, rows in judged.stretches:
+        if rows.stop - rows.start > 1:
+            own[rows] = np.linalg.norm(np.gradient(motion.tip[rows], t.dt, axis=0), axis=1)
     claim = np.where(t.deposit, np.abs(t.speed - mean) - np.ptp(around, axis=0), np.abs(t.speed - own))
     travel = np.where(t.deposit, 0.0, mean)
     slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away

@@ -116,7 +116,13 @@ def plan_travels(
     by_home = visits(process, beads, timed)
     bounds = ways.bounds_of(cell)
 
+    around = {
+        name: (own := cell.at(name), obstacles if own is cell else obstacles.of(own))
+        for name in dict.fromkeys(bead.material for bead in beads)
+    }
+
     def way(i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
+        cell, obstacles = around[_material(leave, reach)]
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, start, end)
         ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
         find = upright if process.travels_upright else with_time
@@ -135,6 +141,7 @@ def plan_travels(
     def with_rest(i: int, longest: float, leave: TimedPath, reach: TimedPath) -> ViaRest:
         refusal: Refusal | None = None
         found: list[ViaRest] = []
+        cell, _ = around[_material(leave, reach)]
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, leave.end, reach.start)
         lifted, _ = above(cell, Ends(leave.end, reach.start, 0.0, bounds), space, space.lift)
         for place in (_home_beside(cell, leave.end), lifted):
@@ -181,6 +188,14 @@ def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, re
     if least > 0.0 and reach is not None:
         least -= reach.when(0.0)
     return least + _ROUNDING if least > 0.0 else 0.0
+
+
+def _material(leave: TimedPath | None, reach: TimedPath | None) -> str:
+    """The material whose nozzle is in use between two beads: the arm is at home where it changes."""
+    beside = leave if reach is None else reach
+    if beside is None:
+        raise ValueError("a travel is beside one bead at least")
+    return beside.path.task.material
 
 
 def _home_beside(cell: Cell, state: JointState | None) -> JointState:
@@ -397,10 +412,12 @@ def carried_travels(
     for i, travel in enumerate(travels):
         start = None if i == 0 else timed[i - 1].end
         end = None if i == len(timed) else timed[i].start
+        own = cell.at(timed[min(i, len(timed) - 1)].path.task.material)
         if not isinstance(travel, ViaRest):
-            out.append(_carried(cell, travel, start, end, speed))
+            out.append(_carried(own, travel, start, end, speed))
             continue
-        away, back = _carried(cell, travel.out, start, None, speed), _carried(cell, travel.back, None, end, speed)
+        left = cell.at(timed[i - 1].path.task.material)
+        away, back = _carried(left, travel.out, start, None, speed), _carried(own, travel.back, None, end, speed)
         out.append(None if away is None or back is None else ViaRest(away, back))
     return out
 

@@ -15,6 +15,7 @@ from planner.base.errors import Refusal
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
+from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.joint_path import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.prices import (
@@ -419,6 +420,7 @@ class NlpSolution:
     status: str
 
 
+@with_each_nozzle
 def nlp(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
     """The ladder's paths, refined by IPOPT in the windows of `sqp`, with its default weights, to judge it by; minutes for a
     window of some thousand samples. No path costs more than it did.
