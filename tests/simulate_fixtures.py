@@ -42,9 +42,9 @@ def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, spee
     )
 
 
-def reader(made: RobotProgram) -> Callable[[Mapping[str, str]], RobotProgram]:
+def reader(made: RobotProgram) -> Callable[[Mapping[str, str]], tuple[RobotProgram, ...]]:
     """What reads any modules as the program that was made."""
-    return lambda modules: made
+    return lambda modules: (made,)
 
 
 class Client:

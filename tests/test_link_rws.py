@@ -53,7 +53,7 @@ def serving(
 ) -> Iterator[tuple[RwsServer, Controller]]:
     """A controller in use, another program being loaded, whose programs run for 5 s."""
     made = program(lines, moves=51, speed=0.1)
-    controller = Controller(("127.0.0.1", 0), read=lambda modules: made, loaded=OTHER_PROGRAM)
+    controller = Controller(("127.0.0.1", 0), read=lambda modules: (made,), loaded=OTHER_PROGRAM)
     who = Access(password=PASSWORD, version=version, strict=strict, **access)  # type: ignore[arg-type]
     with (
         closing(controller),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -122,6 +122,39 @@ def forecast(
     played = play(program, cell, controller.motion)
     found = judged(program, played, controller)
     return replace(found, off=_off(program, played, cell, controller, planned), of_plan=planned is not None)
+
+
+def joined(parts: Sequence[Forecast], controller: ControllerLimits) -> Forecast:
+    """The forecast of programs that run one after the other, as one; `slowest` and `nearest` count moves of all."""
+    if len(parts) == 1:
+        return parts[0]
+    before = np.cumsum([0, *(part.targets for part in parts)]).tolist()
+    time, targets, close = sum(part.time for part in parts), before[-1], sum(part.close for part in parts)
+    laid = [(part, first) for part, first in zip(parts, before, strict=False) if part.laid]
+    if not laid:
+        return replace(parts[0], time=time, targets=targets)
+    took = np.array([part.laid / part.per_second for part, _ in laid])
+    length = took * [part.mean for part, _ in laid]
+    slow, first_of_slow = min(laid, key=lambda each: each[0].least)
+    near, first_of_near = min(laid, key=lambda each: each[0].closest)
+    count = sum(part.laid for part, _ in laid)
+    whole = replace(
+        slow,
+        time=time,
+        programmed=float(length.sum() / (length / [part.programmed for part, _ in laid]).sum()),
+        mean=float(length.sum() / took.sum()),
+        share=float((length * [part.share for part, _ in laid]).sum() / length.sum()),
+        off=max(part.off for part, _ in laid),
+        slowest=first_of_slow + slow.slowest,
+        targets=targets,
+        laid=count,
+        per_second=float(count / took.sum()),
+        most=max(part.most for part, _ in laid),
+        closest=near.closest,
+        nearest=first_of_near + near.nearest,
+        close=close,
+    )
+    return _warned(whole, controller)
 
 
 def _off(

@@ -37,6 +37,10 @@ class _RobotModule(_LanguageModule, Protocol):
     def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram: ...
 
 
+class _SeveralNozzles(_RobotModule, Protocol):
+    def programs(self, files: Mapping[str, str]) -> tuple[RobotProgram, ...]: ...
+
+
 @dataclass(frozen=True)
 class Language:
     """A language of robot controllers, or of extruders.
@@ -66,8 +70,20 @@ class Language:
         return self._module.differences(self.plan(plan), files)
 
     def program(self, plan: Plan, files: Mapping[str, str]) -> RobotProgram:
-        """The program of files as it can be played; of a language that CONTROLLERS has a row for."""
+        """The program of files as it can be played; of a language that CONTROLLERS has a row for.
+
+        Raises InputError where there are several nozzles, see `programs`.
+        """
+        if plan.cell.nozzles:
+            raise plan.problem.error("cell.nozzles", "this is made for programs with one nozzle")
         return cast("_RobotModule", self._module).program(self.plan(plan), files)
+
+    def programs(self, plan: Plan, files: Mapping[str, str]) -> tuple[tuple[Plan, RobotProgram], ...]:
+        """What files do while each nozzle is in use, beside the plan of that time, see `Plan.stretches`."""
+        plan = self.plan(plan)
+        if not plan.cell.nozzles:
+            return ((plan, self.program(plan, files)),)
+        return tuple(zip(plan.stretches, cast("_SeveralNozzles", self._module).programs(files), strict=True))
 
     @property
     def _module(self) -> _LanguageModule:

@@ -309,6 +309,16 @@ def refusal_json(problem: Problem, strategy: str, refusal: Refusal) -> str:
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
 
 
+def _nozzle(cell: Cell, k: int) -> dict[str, Any]:
+    """One of several nozzles: its name, its materials, and its frame with all joints at 0."""
+    own = cell.with_nozzle(k)
+    return {
+        "name": own.nozzle_name,
+        "materials": [name for name, which in cell.nozzle_of.items() if which == k],
+        "T_world_nozzle_zero": np.round(own.arm.poses(np.zeros((1, len(own.arm))))[0], DECIMALS),
+    }
+
+
 def cell_screws(cell: Cell) -> dict[str, Any]:
     """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
 
@@ -345,6 +355,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
         **({"carrier_axes": [{"name": name, "held_at": at} for name, at in carrier.items()]} if carrier else {}),
         "holder_axes": [{"name": name, "held_at": cell.held.get(name)} for name in holder],
         "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
+        **({"nozzles": [_nozzle(cell, k) for k in range(len(cell.nozzles))]} if cell.nozzles else {}),
         "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),
     }
 

@@ -55,14 +55,24 @@ def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
 
 def unsupported_in_joint_trajectory(setup: Setup) -> str | None:
     """Why a message of samples does not support a problem; None if it does."""
+    if several := _one_nozzle(setup):
+        return several
     if setup.problem.as_run is not None:
         return "as_run displaces targets between which a controller plans by itself; it cannot follow such samples"
     return None
 
 
+def _one_nozzle(setup: Setup) -> str | None:
+    """Why a language that is written for one nozzle does not support a cell; None if it does."""
+    names = [nozzle.name for nozzle in setup.cell.nozzles]
+    return f"it is written for one nozzle, and here are {' and '.join(names)}" if names else None
+
+
 def unsupported_in_rapid(setup: Setup) -> str | None:
     """Why RAPID does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.station
+    if setup.cell.nozzles and setup.problem.program.style != "output":
+        return f"with several nozzles program.style is output, not {setup.problem.program.style}"
     if not setup.cell.tells_posture:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
     if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
@@ -75,6 +85,8 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
 def unsupported_in_krl(setup: Setup) -> str | None:
     """Why KRL does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.station
+    if several := _one_nozzle(setup):
+        return several
     if not setup.cell.tells_posture:
         return f"KR C controllers move arms with six axes and a spherical wrist, which {arm.name} is not"
     if holder is not None and holder.inverse is not None:
@@ -91,6 +103,8 @@ def unsupported_in_krl(setup: Setup) -> str | None:
 def unsupported_in_urscript(setup: Setup) -> str | None:
     """Why URScript does not support a cell; None if it does."""
     arm, holder = setup.cell.arm_robot, setup.cell.station
+    if several := _one_nozzle(setup):
+        return several
     if arm.language != "urscript":
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
     if setup.cell.rails:
@@ -134,6 +148,8 @@ def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
     first  number of the first output; count: how many there are, None where that is the cell's
     """
     cell = setup.cell
+    if several := _one_nozzle(setup):
+        return several
     if not cell.tells_posture:
         return f"postures are told by those of a spherical wrist, which {cell.arm_robot.name} has not"
     if cell.rails:
@@ -153,6 +169,8 @@ def unsupported_in_axes(setup: Setup) -> str | None:
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"
+    if several := _one_nozzle(setup):
+        return several
     if spec.type == "robot" and setup.cell.rails:
         return f"no letter is left for {setup.cell.joint_names[0]}, which carries the robot"
     if spec.type == "robot" and setup.cell.holder.slides.any():

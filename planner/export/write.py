@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from planner.base.errors import OutputError, PlannerError, Refusal
 from planner.base.results import digest
 from planner.export.controllers import CONTROLLERS
-from planner.export.forecast import FORECAST, Forecast, forecast, forecast_json
+from planner.export.forecast import FORECAST, Forecast, forecast, forecast_json, joined
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid.text import module_name, written_notes
@@ -79,9 +79,11 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
             raise ProgramDiffers(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
         if name in CONTROLLERS:
-            planned = None if plan.asked is None else plan.trajectory
             controller = CONTROLLERS[name].measured(plan.cell.arm_robot.controller)
-            foretold[name] = forecast(language.program(plan, own), language.plan(plan).cell, controller, planned)
+            planned = [None if plan.asked is None else each.trajectory for each in plan.stretches]
+            each = zip(language.programs(plan, own), planned, strict=True)
+            parts = [forecast(program, part.cell, controller, path) for (part, program), path in each]
+            foretold[name] = joined(parts, controller)
     if foretold:
         _write_text(folder / FORECAST, forecast_json(foretold))
     return tuple(_write_text(folder / name, text) for name, text in texts.items())

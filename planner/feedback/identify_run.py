@@ -70,6 +70,8 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
     A folder's RAPID program is read; of programs in other languages a saved plan is needed, and without it the sampled
     path alone is known. Raises InputError for what is no plan of this cell.
     """
+    if cell.nozzles:
+        raise problem.error("cell.nozzles", "recordings are held against plans with one nozzle")
     path = Path(given)
     if path.is_dir():
         return _of_folder(path, problem, cell)

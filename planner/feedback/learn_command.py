@@ -197,7 +197,10 @@ def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | No
 
 
 def language_of(plan: Plan) -> str:
-    """The language of the arm's program. Raises InputError where its controller does not plan lines by itself."""
+    """The language of the arm's program. Raises InputError where its controller does not plan lines by itself, and for a
+    print with several nozzles."""
+    if plan.cell.nozzles:
+        raise plan.problem.error("cell.nozzles", "runs are learnt from of prints with one nozzle")
     found = [name for name in chosen(plan).names if name in CONTROLLERS]
     if not found:
         reason = f"no program of lines is written for {plan.cell.arm_robot.name}: {chosen(plan).words}"

@@ -54,7 +54,9 @@ function makeMotion(scene) {
   const joints = cell.screws.length / 6;
   const screws = Array.from({ length: joints }, (_, j) => Array.from(cell.screws.subarray(6 * j, 6 * j + 6)));
   const does = cell.slides.map((slides) => (slides ? slid : exponential));
-  const nozzle = Array.from(cell.nozzle), part = Array.from(cell.part);
+  const part = Array.from(cell.part);
+  const tools = cell.tools.length ? cell.tools : [{ since: 0, frame: cell.nozzle, absent: [] }];
+  const frames = tools.map((tool) => Array.from(tool.frame)), begun = tools.map((tool) => tool.since);
 
   function posture(t) {
     if (!motion) return scene.home;
@@ -72,11 +74,12 @@ function makeMotion(scene) {
       for (let j = first; j < last; j++) out.push(product(out[out.length - 1], does[j](screws[j], q[j])));
       return out;
     };
-    const arm = chain(0, cell.arm), holder = chain(cell.arm, joints);
+    const arm = chain(0, cell.arm), holder = chain(cell.arm, joints), k = Math.max(notAbove(begun, t) - 1, 0);
     return {
       q,
       carrier: ([first, last]) => (first === 0 ? arm[last] : holder[last - first]),
-      nozzle: product(arm[arm.length - 1], nozzle),
+      nozzle: product(arm[arm.length - 1], frames[k]),
+      absent: tools[k].absent,
       part: product(holder[holder.length - 1], part),
     };
   }

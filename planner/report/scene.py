@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
+from planner.plan.plan import by_nozzle
 from planner.report.channels import channels
 from planner.report.page import coarse
 from planner.report.places import ReportPlace, dip_marks, places_data
@@ -160,6 +161,7 @@ def cell_data(cell: Cell, view: CellView | None) -> dict[str, Any] | None:
         "arm": na,
         "joints": list(cell.joint_names),
         "nozzle": cell.arm.poses(np.zeros((1, na)))[0].ravel(),
+        "tools": [],
         "part": cell.holder.poses(np.zeros((1, nh)))[0].ravel(),
     }
 
@@ -176,16 +178,40 @@ def _painted(colours: NDArray[np.uint8]) -> dict[str, Any]:
     return {"palette": ["#" + bytes(each).hex() for each in palette], "paint": paint.ravel().astype(np.uint8)}
 
 
+def tools(plan: Plan) -> list[dict[str, Any]]:
+    """Of a print with several nozzles, from when [s] each is in use: its frame where all joints are 0, and the bodies that
+    are not there then."""
+    cell, t = plan.cell, plan.trajectory
+    if not cell.nozzles:
+        return []
+    heads = [{body.name for body in nozzle.head} for nozzle in cell.nozzles]
+    rest = np.zeros((1, len(cell.arm)))
+    return [
+        {
+            "since": float(t.t[rows.start]),
+            "frame": own.arm.poses(rest)[0].ravel(),
+            "absent": sorted(set().union(*heads) - heads[own.in_use]),
+        }
+        for own, rows in by_nozzle(cell, t.events, t.t)
+    ]
+
+
 def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
     """Postures at so many samples that between them, joints taken as moving evenly, the tip is no further off than told.
 
     `sample` (k), `q` (k, nj) row by row, and `off_mm`, the furthest that the tip is off at any sample.
     """
+    parts = [(own, rows.start, trajectory.part(rows)) for own, rows in by_nozzle(cell, trajectory.events, trajectory.t)]
+
+    def within(tolerance: float) -> tuple[Indices, float]:
+        found = [(first, *_kept(own, part, tolerance)) for own, first, part in parts]
+        return np.concatenate([first + kept for first, kept, _ in found]), max(off for _, _, off in found)
+
     tolerance = TOLERANCE
-    kept, off = _kept(cell, trajectory, tolerance)
+    kept, off = within(tolerance)
     while len(kept) > MOST_POSTURES:
         tolerance *= GROWTH
-        kept, off = _kept(cell, trajectory, tolerance)
+        kept, off = within(tolerance)
     return {
         "sample": kept.astype(np.int32),
         "q": trajectory.q[kept].astype(np.float32).ravel(),
@@ -263,6 +289,8 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     """Scene of a plan: `cell`, `part`, `motion`, `lines`, `earlier`, `places`, `dips`, `colours`, times in seconds."""
     traj = plan.trajectory
     cell = cell_data(plan.cell, plan.view)
+    if cell is not None:
+        cell |= {"tools": tools(plan)}
     look = {"round": _round(plan.beads)}
     earlier = plan.toolpath.beads[: plan.first_bead]
     still = [bead_lines(earlier, EARLIER_BUDGET) | look | {"colour": EARLIER}] if earlier else []

@@ -105,7 +105,11 @@ function makeStage(div, scene, lib, motion) {
 
   const stage = { THREE, viewer, world, div, canvas, part, beads, still, bodies, size, light, riding: false, now: null, t: 0 };
   const put = (object, a) => { object.matrix.set(...a); object.matrixWorldNeedsUpdate = true; };
-  let due = false;
+  let due = false, robots = true;
+  const showBodies = () => bodies.forEach((b) => {
+    const absent = b.bodies && stage.now && b.bodies.some((name) => stage.now.absent.includes(name));
+    if (b.kind !== "part") b.mesh.visible = robots && !absent;
+  });
   stage.draw = () => {
     if (due) return;
     due = true;
@@ -119,6 +123,7 @@ function makeStage(div, scene, lib, motion) {
       const now = motion.poses(t);
       stage.now = now;
       for (const body of bodies) if (body.joints) put(body.mesh, now.carrier(body.joints));
+      showBodies();
       put(part, now.part);
       put(root, stage.riding ? inverse(now.part) : STILL);
       place = moved(inverse(now.part), [now.nozzle[3], now.nozzle[7], now.nozzle[11]]);
@@ -144,7 +149,8 @@ function makeStage(div, scene, lib, motion) {
     own.needsUpdate = true;
   });
   stage.showRobots = (yes) => {
-    bodies.forEach((b) => { if (b.kind !== "part") b.mesh.visible = yes; });
+    robots = yes;
+    showBodies();
     world.renderer.shadowMap.needsUpdate = true;
   };
 

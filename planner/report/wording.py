@@ -115,6 +115,7 @@ GROUPS = {
         "branch changes in deposition",
         "continuity",
         "starts and ends at home",
+        "nozzles changed at home",
     ),
     "geometry": (
         "tip on the path",

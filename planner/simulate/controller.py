@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import re
 import shutil
 import socket
@@ -10,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
@@ -23,7 +25,7 @@ from planner.export.arcs import LinesAndArcs
 from planner.export.player.play import play
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
-from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.reader import read_rapid_stretches
 from planner.simulate.board import Fault, Faults
 from planner.simulate.servers import LATEST, TIMEOUT, Ended, ProgramSocket, bound_socket
 
@@ -148,8 +150,9 @@ class PlayedMotion:
 
 
 def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
-    """The motion of a program in its cell. Raises InputError for what cannot be reached."""
-    played = play(program, cell)
+    """The motion of a program in its cell, with its nozzle. Raises InputError for what cannot be reached."""
+    off = [np.linalg.norm(nozzle.T_flange_nozzle[:3, 3] - program.tool[:3]) for nozzle in cell.nozzles]
+    played = play(program, cell.with_nozzle(int(np.argmin(off)) if off else 0))
     outputs = [
         MotionEvent(each.t, each.move, OUTPUT, f"{each.text}={int(each.value)}")
         for each in played.events
@@ -157,6 +160,40 @@ def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
     ]
     leave = played.leave[played.target]
     return PlayedMotion(played, played.duration, in_order([*outputs, *lines(program, played.arrive, leave)]))
+
+
+@dataclass(frozen=True)
+class MotionsInTurn:
+    """Motions one after the other; moves are counted through."""
+
+    motions: tuple[ProgramMotion, ...]
+    moves: tuple[int, ...]
+
+    @cached_property
+    def begins(self) -> tuple[float, ...]:
+        """When each begins [s]."""
+        return tuple(np.cumsum([0.0, *(each.duration for each in self.motions[:-1])]).tolist())
+
+    @property
+    def duration(self) -> float:
+        """Time of the whole motion [s]."""
+        return sum(each.duration for each in self.motions)
+
+    @cached_property
+    def happenings(self) -> tuple[MotionEvent, ...]:
+        """In order of time."""
+        before = np.cumsum([0, *self.moves]).tolist()
+        return tuple(
+            replace(each, time=begin + each.time, move=first + each.move)
+            for motion, begin, first in zip(self.motions, self.begins, before, strict=False)
+            for each in motion.happenings
+        )
+
+    def at(self, time: float) -> tuple[int, Array]:
+        """The move that runs at a time, and the tip in the part frame (3,) [m]."""
+        k = max(bisect.bisect_right(self.begins, time) - 1, 0)
+        move, tip = self.motions[k].at(time - self.begins[k])
+        return sum(self.moves[:k]) + move, tip
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -378,7 +415,7 @@ _LISTED = re.compile(r"<Module>\s*([^<\s]{1,64})\s*</Module>")
 # what a controller that was in use has loaded: a program of somebody else's
 OTHER_PROGRAM = {"MainModule": "MODULE MainModule\n    PROC main()\n    ENDPROC\nENDMODULE\n"}
 
-Reader = Callable[[Mapping[str, str]], RobotProgram]
+Reader = Callable[[Mapping[str, str]], tuple[RobotProgram, ...]]
 
 
 class Denied(Exception):
@@ -393,7 +430,7 @@ class Controller:
     """Its state; safe to use from several threads. Files are kept in a temporary folder until `close`.
 
     address   where programs listen for who takes their lines
-    read      modules (name → text) → program; raises InputError
+    read      modules (name → text) → what the program does while each tool is in use; raises InputError
     move      program → its motion; raises InputError for what cannot be reached
     loaded    modules (name → text) of the program that is loaded already
     """
@@ -546,12 +583,14 @@ class Controller:
             if len(mains) > 1:
                 raise Denied(400, f"main is ambiguous: it is in {' and in '.join(mains)}")
             try:
-                program = self._read({**self._loaded_by(self._modules.values()), **self._modules})
-                motion = self._move(program)
+                programs = self._read({**self._loaded_by(self._modules.values()), **self._modules})
+                motion: ProgramMotion = MotionsInTurn(
+                    tuple(map(self._move, programs)), tuple(len(each.position) for each in programs)
+                )
             except InputError as error:
                 raise Denied(400, f"the program has errors: {error}") from error
             self._end_run()
-            self._run = ProgramRun(program.module, motion, self._pace, self._address, self._faults)
+            self._run = ProgramRun(programs[0].module, motion, self._pace, self._address, self._faults)
 
     def start(self) -> None:
         """Run, or go on."""
@@ -597,6 +636,6 @@ class Controller:
         return self._home / name
 
 
-def read_modules(modules: Mapping[str, str]) -> RobotProgram:
-    """The program of modules (name → text), one of which has the main procedure."""
-    return read_rapid_files({f"{name}.mod": text for name, text in modules.items()})
+def read_modules(modules: Mapping[str, str]) -> tuple[RobotProgram, ...]:
+    """What modules (name → text), one of which has the main procedure, do while each tool is in use."""
+    return read_rapid_stretches({f"{name}.mod": text for name, text in modules.items()})

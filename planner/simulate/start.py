@@ -76,7 +76,7 @@ def start(
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
     access: to the web services, else as on a new controller; in_use: another program is loaded.
-    read: modules (name → text) → program, in place of our own reader of RAPID; cell: whose limits the motion keeps,
+    read: modules (name → text) → programs, in place of our own reader of RAPID; cell: whose limits the motion keeps,
     where programmed speeds alone are not enough. board_tool: selected on the board from the start.
     Raises InputError for what is no fault.
     """

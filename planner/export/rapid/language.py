@@ -17,7 +17,7 @@ from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import fed_spans
 from planner.export.program import RobotProgram
 from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
-from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files
+from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files, read_rapid_stretches
 from planner.export.rapid.text import module_name
 from planner.export.rapid.writer import quadrants, rapid_moves, speed_numbers
 from planner.export.rapid.writer import rapid_files as write
@@ -44,10 +44,20 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     return read_rapid_files(files)
 
 
+def programs(files: Mapping[str, str]) -> tuple[RobotProgram, ...]:
+    """What the modules do while each tool is in use. InputError for an unknown line."""
+    return read_rapid_stretches(files)
+
+
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the modules from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
-    program = read_rapid_files(files)
-    found = [*readback(plan, program), *posture_and_speed_differences(plan, program)]
+    parts, each = plan.stretches, read_rapid_stretches(files)
+    if len(parts) != len(each):
+        return [f"tools are changed {len(each) - 1} times, not {len(parts) - 1}"]
+    found = []
+    for part, program in zip(parts, each, strict=True):
+        found += [*readback(part, program), *posture_and_speed_differences(part, program)]
+    program = each[0]
     if plan.problem.program.style == "socket":
         found += line_differences(plan, program, files[f"{module_name(plan.name)}_lines.csv"])
     if plan.problem.program.style == "demand":

@@ -227,15 +227,26 @@ _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', 
 
 def read_rapid(text: str) -> RobotProgram:
     """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
-    return _RapidRun([parse(text, GRAMMAR.file)]).program()
+    return read_rapid_files({GRAMMAR.file: text})
 
 
 def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
     """Program of the modules (*.mod) of `writer.rapid_files`, whatever else there is.
 
-    Raises InputError with file and line for a statement, name or shape that is not known.
+    Raises InputError with file and line for a statement, name or shape that is not known, and for several tools.
     """
-    return _RapidRun([parse(text, file) for file, text in files.items() if file.endswith(".mod")]).program()
+    first, *others = read_rapid_stretches(files)
+    if others:
+        raise InputError(
+            f"it changes its tool {len(others)} times: this is made for programs with one", file=next(iter(files))
+        )
+    return first
+
+
+def read_rapid_stretches(files: Mapping[str, str]) -> tuple[RobotProgram, ...]:
+    """What the modules do while each tool is in use, in order; the rest as `read_rapid_files`."""
+    modules = [parse(text, file) for file, text in files.items() if file.endswith(".mod") or file == GRAMMAR.file]
+    return _RapidRun(modules).stretches()
 
 
 def _radians(degrees: Array) -> Array:
@@ -249,13 +260,23 @@ def _known(statement: Statement, name: str, names: Collection[str]) -> str:
     return name
 
 
+@dataclass(frozen=True)
+class ToolStart:
+    """Where a tool comes into use: its name, joints and speed of the way there as written, and its first move (number)."""
+
+    tool: str
+    joints: list[float]
+    approach: list[float]
+    first: int
+
+
 class _RapidRun:
     """What the modules do, statement by statement."""
 
     def __init__(self, modules: Sequence[Module]) -> None:
         mains = [module for module in modules if "main" in module.procs]
-        if len(mains) != 1 or len(mains[0].tool) != 1 or len(mains[0].wobj) != 1:
-            raise InputError("no complete module with main, one tool and one work object", file=modules[0].file)
+        if len(mains) != 1 or not mains[0].tool or len(mains[0].wobj) != 1:
+            raise InputError("no complete module with main, a tool and one work object", file=modules[0].file)
         self.module = mains[0]
         self.others = {module.name: module for module in modules if module is not self.module}
         self.loaded: dict[str, Module] = {}
@@ -265,8 +286,7 @@ class _RapidRun:
         self.outputs: dict[str, None] = {}
         self.flows: set[str] = set()
         self.around: tuple[set[str], set[str]] = (set(), set())
-        self.start: list[float] = []
-        self.approach = ""
+        self.begun: list[ToolStart] = []
         self.moves: list[Statement] = []
         self.waits: dict[int, float] = {}
         self.sends: dict[int, list[str]] = {}
@@ -302,7 +322,7 @@ class _RapidRun:
                 self.call(statement, ChainMap(*(each.procs for each in reversed(self.loaded.values()))))
             elif statement.word == "load":
                 way, name = statement.parts
-                if way == "UnLoad " and not self.start:
+                if way == "UnLoad " and not self.begun:
                     self.cleared.add(_known(statement, name, self.others))
                     continue
                 if not self.moves or self.moves[-1].parts[_AT] != "fine":
@@ -331,10 +351,7 @@ class _RapidRun:
                 raise statement.error("a move behind the end")
             self.moves.append(statement)
         elif word == "absolute":
-            if self.moves or self.start:
-                raise statement.error("MoveAbsJ is for the start only")
-            self.approach = _known(statement, parts[1], self.module.speeds)
-            self.start = numbers(parts[0], SHAPE_JOINTS, statement)
+            self.begin(statement)
         elif word in ("trigger", "demand"):
             distance, from_start, signal, value = (
                 float(parts[1]) * 1e-3,
@@ -350,7 +367,7 @@ class _RapidRun:
                 self.demand[name] = (distance, from_start, float(value))
                 self.flows.add(signal)
         elif word in AROUND:
-            if self.start and not self.moves:
+            if self.begun and not self.moves:
                 raise statement.error("it stands between the start and the first move")
             self.around[bool(self.moves)].add(" ".join(parts))
         elif word == "wait":
@@ -366,6 +383,18 @@ class _RapidRun:
         elif word == "socket":
             self.calls.append(parts[0])
 
+    def begin(self, statement: Statement) -> None:
+        """The way to the start, or a change of the tool, which is made at rest."""
+        joints, speed, tool, wobj = statement.parts
+        if self.begun and (not self.moves or self.begun[-1].tool == tool):
+            raise statement.error("MoveAbsJ is for the start, and for a change of the tool")
+        if self.begun and (self.moves[-1].parts[_AT] != "fine" or self.begun[-1].first == len(self.moves)):
+            raise statement.error("a tool is changed at rest")
+        _known(statement, wobj, self.module.wobj)
+        there = numbers(joints, SHAPE_JOINTS, statement)
+        approach = self.module.speeds[_known(statement, speed, self.module.speeds)]
+        self.begun.append(ToolStart(_known(statement, tool, self.module.tool), there, approach, len(self.moves)))
+
     def check_around(self) -> None:
         """Outputs are off before and after, the station is active, and singularities and configurations are as written."""
         station = next(iter(self.module.wobj.values()))[0]
@@ -379,14 +408,25 @@ class _RapidRun:
                     f"missing in main {where} all moves, or not known there: {other}", file=self.module.file
                 )
 
-    def program(self) -> RobotProgram:
-        if not self.start or not self.moves:
+    def stretches(self) -> tuple[RobotProgram, ...]:
+        """What is done while each tool is in use."""
+        if not self.begun or not self.moves:
             raise InputError("no moves", file=GRAMMAR.file)
         self.check_server()
+        ends = [*(start.first for start in self.begun[1:]), len(self.moves)]
+        return tuple(self.program(start, end) for start, end in zip(self.begun, ends, strict=True))
+
+    def program(self, start: ToolStart, end: int) -> RobotProgram:
+        """What is done up to a move (its number) while a tool is in use."""
         speeds, triggers, module = [], {}, self.module
+        moves, first_move = self.moves[start.first : end], start.first
         asks: dict[int, list[tuple[float, bool, float]]] = {}
-        for i, move in enumerate(self.moves):
+        if not moves:
+            raise InputError(f"no moves with {start.tool}", file=module.file)
+        for i, move in enumerate(moves):
             word, via, _, speed, first, _, zone, tool, wobj = move.parts
+            if tool != start.tool and tool in module.tool:
+                raise move.error(f"it moves {tool} while {start.tool} is in use")
             if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
                 for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
                     _known(move, name, names)
@@ -404,12 +444,12 @@ class _RapidRun:
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
                     triggers[i] = switches
                 asks[i] = [self.demand[name] for name in used if name in self.demand]
-        table = target_numbers([move.parts[_TO] for move in self.moves])
-        position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in self.moves])
+        table = target_numbers([move.parts[_TO] for move in moves])
+        position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in moves])
         arcs, postures = np.full_like(position, np.nan), np.full((len(position), 14), np.nan)
-        self.check_orientations(self.moves, table)
+        self.check_orientations(moves, table)
         if circular.any():
-            on_arcs = [move for move in self.moves if move.parts[_VIA]]
+            on_arcs = [move for move in moves if move.parts[_VIA]]
             vias = target_numbers([move.parts[_VIA] for move in on_arcs])
             self.check_orientations(on_arcs, vias)
             arcs[circular] = vias[:, :3] * 1e-3
@@ -419,31 +459,31 @@ class _RapidRun:
         station, uframe, oframe = next(iter(module.wobj.values()))
         return RobotProgram(
             module=module.name,
-            tool=next(iter(module.tool.values())),
+            tool=module.tool[start.tool],
             uframe=uframe,
             oframe=oframe,
             station=station,
-            start=_radians(np.array(self.start)),
-            linear=np.array([move.parts[_WORD] != "MoveJ" for move in self.moves]),
-            fine=np.array([move.parts[_AT] == "fine" for move in self.moves]),
+            start=_radians(np.array(start.joints)),
+            linear=np.array([move.parts[_WORD] != "MoveJ" for move in moves]),
+            fine=np.array([move.parts[_AT] == "fine" for move in moves]),
             position=position,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
-            zone=np.array([ZONES[move.parts[_AT]] for move in self.moves]),
+            zone=np.array([ZONES[move.parts[_AT]] for move in moves]),
             speed=np.array(speeds) * SPEED_UNITS,
-            wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
+            wait=np.array([self.waits.get(i, 0.0) for i in range(first_move, end)]),
             triggers=triggers,
-            sends={i: tuple(texts) for i, texts in self.sends.items()},
+            sends={i - first_move: tuple(texts) for i, texts in self.sends.items() if first_move <= i < end},
             demands={
                 i: tuple((float(lengths[i]) - far if from_start else far, value) for far, from_start, value in own)
                 for i, own in asks.items()
                 if own
             },
-            send_rests={i: tuple(rests) for i, rests in self.rested.items()},
+            send_rests={i - first_move: tuple(rests) for i, rests in self.rested.items() if first_move <= i < end},
             arcs=arcs if circular.any() else None,
             arc_postures=postures if circular.any() else None,
-            approach=np.array(module.speeds[self.approach]) * SPEED_UNITS,
+            approach=np.array(start.approach) * SPEED_UNITS,
         )
 
     @staticmethod

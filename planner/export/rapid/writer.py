@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,7 +38,7 @@ from planner.export.rapid.extruder import (
     server_declarations,
     table,
 )
-from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.reader import read_rapid_stretches
 from planner.export.rapid.text import (
     LONGEST_STRING,
     NOT_LOADED,
@@ -52,7 +53,7 @@ from planner.export.rapid.text import (
 )
 from planner.export.support import by_bead, unsupported_in_rapid
 from planner.export.text import number, require_writable
-from planner.plan import RAPID_EXTERNAL_AXES
+from planner.plan import RAPID_EXTERNAL_AXES, TRAVEL
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def frames(plan: Plan) -> list[str]:
     names, cell = plan.problem.program, plan.cell
     lines = [
         comment("The load below is a placeholder: identify it on the robot before the first run."),
-        f"    PERS tooldata {names.tool}:=[TRUE,{pose_text(cell.T_flange_nozzle)},{TOOL_LOAD}];",
+        *(f"    PERS tooldata {name}:=[TRUE,{pose_text(T)},{TOOL_LOAD}];" for name, T in _tools(plan)),
         comment("Poses in the world that the controller's configuration must have. The robot's base:"),
         comment("  " + pose_text(cell.T_world_base)),
     ]
@@ -168,6 +169,17 @@ def frames(plan: Plan) -> list[str]:
     return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
 
 
+def _tools(plan: Plan) -> list[tuple[str, Array]]:
+    """Names and poses on the flange (4, 4) of all tools."""
+    cell = plan.cell
+    return [(each.name, each.T_flange_nozzle) for each in cell.nozzles] or [(tool_of(plan), cell.T_flange_nozzle)]
+
+
+def tool_of(plan: Plan) -> str:
+    """The name of the tool data of the nozzle in use."""
+    return plan.cell.nozzle_name or plan.problem.program.tool
+
+
 def speed_numbers(plan: Plan, moves: Moves) -> Array:
     """Speeds (m + 1, 4) of the way to the start and of every move, as a speeddata has them: tip [mm/s], reorientation
     [deg/s], axes that slide [mm/s] and that turn [deg/s]."""
@@ -192,6 +204,7 @@ def speeds(numbers: Array) -> tuple[list[str], list[str]]:
     table = {}
     for key in sorted(set(keys)):
         own = "" if key[1:] == usual else f"o{key[1]:.0f}a{key[3]:.0f}"
+        own += "" if key[2] == usual[1] else f"s{key[2]:.0f}"
         table[key] = f"vel{key[0]:g}".replace(".", "_") + own
     lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},{s:g},{a:g}];" for (v, o, s, a), name in table.items()]
     return lines, [table[key] for key in keys]
@@ -325,16 +338,27 @@ class Procedure:
 
 
 def procedures_of(
-    plan: Plan, moves: Moves, speeds: list[str], triggers: dict[int, tuple[str, ...]], lines: tuple[SocketLine, ...]
+    plan: Plan,
+    moves: Moves,
+    speeds: list[str],
+    triggers: dict[int, tuple[str, ...]],
+    lines: tuple[SocketLine, ...] = (),
+    change: int = 0,
+    last: bool = True,
 ) -> list[Procedure]:
-    """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move."""
-    names, places = plan.problem.program, targets(plan, moves)
-    frames = f"{names.tool}\\WObj:={names.work_object};"
+    """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move.
+
+    change: how many tools have been changed before; last: no tool is changed behind it
+    """
+    places, frames = targets(plan, moves), _frames_of(plan)
     sent = _numbered(lines)
     about = "The planned start as a target: the robot must not move here, if tool and work object are right."
     start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
     there = _resting(moves.waits.get(-1, ()), sent.get(-1, ()))
     found = [Procedure("Start", (comment(about, 8),), ((start, *there),), True)]
+    if change:
+        again = (comment(f"From here on with {tool_of(plan)}.", 8), comment(about, 8), _absolute(plan, speeds[0]))
+        found = [Procedure(f"Change{change}", again, ((start, *there),), True)]
     linear, circular, fine = moves.linear.tolist(), moves.circular.tolist(), moves.fine.tolist()
     zones, vias = zones_of(plan, moves), via_targets(plan, moves)
 
@@ -347,10 +371,23 @@ def procedures_of(
         return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
 
     for section in sections(plan, moves):
-        name = f"Bead{section.number:04d}" if section.number else "Finish"
-        words = (comment(section.about, 8),) if section.about else ()
-        found.append(Procedure(name, words, tuple(map(step, section.moves)), fine[section.moves[-1]]))
+        home = "Finish" if last else f"Home{change + 1}"
+        name = f"Bead{section.number:04d}" if section.number else home
+        own = (comment(section.about, 8),) if section.about else ()
+        found.append(Procedure(name, own, tuple(map(step, section.moves)), fine[section.moves[-1]]))
     return found
+
+
+def _frames_of(plan: Plan) -> str:
+    return f"{tool_of(plan)}\\WObj:={plan.problem.program.work_object};"
+
+
+def _absolute(plan: Plan, speed: str) -> str:
+    """The move to the joints of the start."""
+    cell, start = plan.cell, plan.trajectory.q[:1]
+    joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
+    external = external_text(external_written(cell, start[:, cell.besides]))[0]
+    return f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{_frames_of(plan)}"
 
 
 def zones_of(plan: Plan, moves: Moves) -> list[str]:
@@ -424,14 +461,28 @@ _MOVE = re.compile(r" {8}(?:MoveJ|MoveL|MoveC|TriggL|TriggC) ")
 
 @dataclass(frozen=True)
 class ProgramNote:
-    """What is to be known, and the first move of the program that it is about, from 0."""
+    """What is to be known, the first move of the program that it is about, from 0, and the bead of that, or TRAVEL."""
 
     words: str
     move: int
+    bead: int = TRAVEL
+
+
+def all_notes(
+    parts: Sequence[Plan], all_moves: Sequence[Moves], programs: Sequence[RobotProgram]
+) -> tuple[ProgramNote, ...]:
+    """The notes on a program that was read back, one stretch after the other; moves count from its beginning."""
+    out, before = [], 0
+    for plan, moves, program in zip(parts, all_moves, programs, strict=True):
+        for note in notes_of(plan, moves, program):
+            bead = int(plan.trajectory.bead[moves.sample[max(note.move - 1, 0)]])
+            out.append(replace(note, move=before + note.move, bead=bead))
+        before += len(moves) + 1
+    return tuple(out)
 
 
 def notes_of(plan: Plan, moves: Moves, program: RobotProgram) -> tuple[ProgramNote, ...]:
-    """All notes on a program that was read back."""
+    """All notes on what was read back of a stretch."""
     return tuple(note for note in (*_fit(plan, moves), _sends(program), *_paces(plan, program)) if note is not None)
 
 
@@ -466,7 +517,7 @@ def _paces(plan: Plan, program: RobotProgram) -> list[ProgramNote]:
     return [*slow, *(ProgramNote(warning, told.nearest) for warning in told.warnings)]
 
 
-def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: Mapping[str, str]) -> list[str]:
+def note_lines(notes: tuple[ProgramNote, ...], files: Mapping[str, str]) -> list[str]:
     """Two comments for each note, to stand in the header of the first of the files, which have none so far."""
     main, places, wanted = next(iter(files)), {}, {note.move for note in notes}
     k = 0
@@ -476,11 +527,9 @@ def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: 
                 if k in wanted:
                     places[k] = f"line {line + 2 * len(notes) * (name == main)} of {name}"
                 k += 1
-    bead = plan.trajectory.bead
     out = []
     for note in notes:
-        at = int(bead[moves.sample[max(note.move - 1, 0)]])
-        where = f"bead {at}" if at >= 0 else "between beads"
+        where = f"bead {note.bead}" if note.bead >= 0 else "between beads"
         out += [comment(NOTE + note.words), comment(f"  first {where}, {places[note.move]}")]
     return out
 
@@ -518,16 +567,28 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
     require_writable(plan, unsupported_in_rapid(plan))
-    name, spec, moves = module_name(plan.name), plan.problem.program, rapid_moves(plan)
+    name, spec, parts = module_name(plan.name), plan.problem.program, plan.stretches
+    all_moves = [rapid_moves(part) for part in parts]
     sends = spec.style == "socket"
-    lines = lines_of(plan, moves) if sends else ()
-    triggers = triggers_of(plan, moves, demand_of(plan, moves) if spec.style == "demand" else None)
-    declared, speed_names = speeds(speed_numbers(plan, moves))
-    start, *others = procedures_of(plan, moves, speed_names, triggers.of, lines)
-    batches = batches_of(name, others, spec.module_moves) if len(moves) > spec.module_moves else ()
+    lines = lines_of(plan, all_moves[0]) if sends else ()
+    demand = demand_of(plan, all_moves[0]) if spec.style == "demand" else None
+    triggers = [triggers_of(part, moves, demand) for part, moves in zip(parts, all_moves, strict=True)]
+    numbers = [speed_numbers(part, moves) for part, moves in zip(parts, all_moves, strict=True)]
+    declared, all_names = speeds(np.concatenate(numbers))
+    speed_names = [
+        list(itertools.islice(names, len(own))) for names, own in zip(itertools.repeat(iter(all_names)), numbers)
+    ]
+    start, *others = itertools.chain.from_iterable(
+        procedures_of(part, moves, own_speeds, own.of, lines, change, part is parts[-1])
+        for change, (part, moves, own_speeds, own) in enumerate(
+            zip(parts, all_moves, speed_names, triggers, strict=True)
+        )
+    )
+    count = sum(map(len, all_moves))
+    batches = batches_of(name, others, spec.module_moves) if count > spec.module_moves else ()
     here = [start, *(others if not batches else [])]
     calls = [f"        {procedure.name};" for procedure in here] + [s for batch in batches for s in running(batch)]
-    top = [f"MODULE {name}", *header(plan), *_sizes(plan, moves)]
+    top = [f"MODULE {name}", *header(plan), *_sizes(plan, all_moves)]
     rest = [
         "",
         *frames(plan),
@@ -535,10 +596,10 @@ def rapid_files(plan: Plan) -> dict[str, str]:
         *declared,
         *_zone_declarations([start, *others]),
         "",
-        *(f"    VAR triggdata {trigger};" for trigger in triggers.names),
+        *(f"    VAR triggdata {trigger};" for trigger in triggers[0].names),
         *(server_declarations() if sends else []),
         "",
-        *_main(plan, unloading(batches), calls, speed_names[0], triggers.settings),
+        *_main(plan, unloading(batches), calls, all_names[0], triggers[0].settings),
         *(NOT_LOADED if batches else []),
         "    ENDPROC",
         "",
@@ -549,8 +610,8 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     ]
     modules = {f"{name}.mod": "\n".join(top + rest)}
     modules |= {f"{module.name}.mod": module.text for batch in batches for module in batch}
-    if notes := notes_of(plan, moves, read_rapid_files(modules)):
-        modules[f"{name}.mod"] = "\n".join(top + note_lines(notes, plan, moves, modules) + rest)
+    if notes := all_notes(parts, all_moves, read_rapid_stretches(modules)):
+        modules[f"{name}.mod"] = "\n".join(top + note_lines(notes, modules) + rest)
     return {**modules, f"{name}.pgf": pgf(plan)} | ({f"{name}_lines.csv": table(lines)} if lines else {})
 
 
@@ -561,18 +622,20 @@ def _zone_declarations(procedures: Sequence[Procedure]) -> list[str]:
     return [f"    CONST zonedata {name}:={OWN_ZONES[name]};" for name in used]
 
 
-def _sizes(plan: Plan, moves: Moves) -> list[str]:
+def _sizes(plan: Plan, all_moves: Sequence[Moves]) -> list[str]:
     """How many moves there are, beside the waypoints that they stand for."""
     waypoints = sum(len(bead.points) for bead in plan.beads)
-    laid = int(np.count_nonzero(moves.laid))
-    return [comment(f"{len(moves) + 1} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints")]
+    laid = sum(int(np.count_nonzero(moves.laid)) for moves in all_moves)
+    return [
+        comment(
+            f"{sum(map(len, all_moves)) + len(all_moves)} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints"
+        )
+    ]
 
 
 def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
     """The procedure main, without its end."""
-    names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
-    joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
-    external = external_text(external_written(cell, start[:, cell.besides]))[0]
+    names, cell = plan.problem.program, plan.cell
     station = [] if cell.station is None else [names.station]
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
@@ -589,7 +652,7 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
         "        CirPathMode\\ObjectFrame;",
         *off,
         *(f"        {setting}" for setting in triggers),
-        f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{names.tool}\\WObj:={names.work_object};",
+        _absolute(plan.stretches[0], speed),
         *([f"        {OPEN};"] if sends else []),
         *calls,
         *([f"        {END};"] if sends else []),
