@@ -22,6 +22,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from benchmarks.wing import ONE_NOZZLE
 from planner.base.arrays import Array
 from planner.base.errors import PlannerError
 from planner.cell.bodies import nozzle_profile
@@ -35,7 +36,11 @@ from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, slack_along
 from planner.verify.pressed import Laid, deepest, laid_beads
 
-PRINTS = (("cylinder_logo", "layers.count=2"), ("hemisphere_honeycomb",), ("naca0015_wing", "layers.count=34"))
+PRINTS = (
+    ("cylinder_logo", "layers.count=2"),
+    ("hemisphere_honeycomb",),
+    ("naca0015_wing", "layers.count=34", *ONE_NOZZLE),
+)
 ROWS = 7  # of capsules across a bead
 SIDES = 128  # of the nozzle
 LOOKS = 200  # samples beside the worst
@@ -148,7 +153,11 @@ def beyond_by_coal(judged: Judged, looks: Sequence[int]) -> float:
     """How near [m] nozzle and head come to the beads beyond the tip's zone, at some samples."""
     spec, laid, t, motion = judged.problem.collision, laid_beads(judged), judged.trajectory, judged.motion
     shapes = [(coal_body(body), body.T_frame_solid) for body in judged.cell.head]
-    slack, print_, least = slack_along(judged.problem, judged.toolpath, t), PrintOfCapsules(laid), FAR
+    slack, print_, least = (
+        slack_along(judged.problem, judged.toolpath, t, judged.problem.cell.nozzle),
+        PrintOfCapsules(laid),
+        FAR,
+    )
     for j in looks:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = motion.rotation[j], motion.tip[j]

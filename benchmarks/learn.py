@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from benchmarks.wing import ONE_NOZZLE
 from planner.base.command_line import exit_code
 from planner.base.progress import Stages
 from planner.export.controllers import CONTROLLERS
@@ -46,7 +47,7 @@ BESIDE, AROUND = 10, 60  # samples before and behind a corner, by which it is ch
 PRINTS: dict[str, tuple[str, ...]] = {
     "cylinder_logo": ("layers.count=1",),
     "hemisphere_honeycomb": ("layers.count=1",),
-    "naca0015_wing": ("layers.count=1",),
+    "naca0015_wing": ("layers.count=1", *ONE_NOZZLE),
     "aerofoil_core": ("layers.count=1",),
     "curved_plate": (),
     "planar_gcode": (),

@@ -132,7 +132,7 @@ def arigela() -> tuple[PaperFigure, ...]:
         PaperFigure(wing, "span, mm", 20.0, "layers.source.span_mm"),
         PaperFigure(wing, "leading edge, mm", (15.0, 0.0, 8.7016), "layers.source.origin_mm"),
         PaperFigure(wing, "height of a layer, mm", 0.5, "layers.height_mm"),
-        PaperFigure(wing, "nozzle's bore, mm", 0.5, "cell.nozzle.diameter_mm"),
+        PaperFigure(wing, "nozzle's bore, mm", 0.5, "cell.nozzles.tBlack.diameter_mm"),
         PaperFigure(wing, "speed of the tip, mm/s", 40.0, "process.speed_mm_s"),
         PaperFigure(wing, "lean of the layers at most, °", 45.0, "layers.source.tilt_deg"),
         PaperFigure(wing, "support's length, mm", 110.0, "layers.support.length_mm"),

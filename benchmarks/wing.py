@@ -57,6 +57,15 @@ def own_figures(problem: Problem, toolpath: Toolpath) -> dict[str, float]:
     }
 
 
+# The wing with one nozzle for both materials, for what is made for one.
+ONE_NOZZLE = (
+    "cell.nozzle={tip_mm: [0, 0, 150], axis: [1, 0, 1], diameter_mm: 0.5}",
+    "cell.nozzles={}",
+    "process.materials.black_pla.nozzle=null",
+    "process.materials.yellow_pla.nozzle=null",
+)
+
+
 def _filled(beads: Sequence[Bead]) -> float:
     """Share of its layer that beads cover [%]: their area over that of the hull of their places, half a width wider."""
     width = float(beads[0].width.mean())

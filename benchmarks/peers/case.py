@@ -73,7 +73,8 @@ def problem_of(case: Case, folder: Path) -> Problem:
 def given(case: Case, folder: Path) -> PlanningContext:
     """Read a case, build its toolpath and cell. Raises InputError as planning does."""
     problem = problem_of(case, folder)
-    cell, toolpath = build_cell(problem), build_toolpath(problem)
+    toolpath = build_toolpath(problem)
+    cell = build_cell(problem).at(toolpath.beads[0].material)
     if case.layers is not None:
         toolpath = replace(toolpath, beads=tuple(bead for bead in toolpath.beads if bead.layer < case.layers))
     return context_of(problem, cell, toolpath)
