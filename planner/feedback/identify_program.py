@@ -25,8 +25,8 @@ from planner.export.joint_trajectory import SplineKnots, message
 from planner.export.krl import axes, krl_name
 from planner.export.languages import LANGUAGES
 from planner.export.program import ProblemSetup
+from planner.export.rapid.declarations import TOOL_LOAD, external_text, pose_text
 from planner.export.rapid.text import comment, module_name
-from planner.export.rapid.writer import TOOL_LOAD, external_text, pose_text
 from planner.export.text import ascii_comment, number
 from planner.feedback.identify_profile import MotionLimits, move_profile
 from planner.feedback.readings import JointCounting, counting

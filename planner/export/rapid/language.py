@@ -16,10 +16,12 @@ from planner.export.external import external_written
 from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import fed_spans
 from planner.export.program import RobotProgram
+from planner.export.rapid.declarations import speed_numbers
 from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
-from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files
+from planner.export.rapid.modules import SPEED_UNITS
+from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.text import module_name
-from planner.export.rapid.writer import quadrants, rapid_moves, speed_numbers
+from planner.export.rapid.writer import quadrants, rapid_moves
 from planner.export.rapid.writer import rapid_files as write
 from planner.export.readback import readback
 

@@ -1,4 +1,4 @@
-"""Reader of RAPID: exactly the subset that `writer` uses; anything else is an error with its line."""
+"""Reader of RAPID: what the modules of a program do, statement by statement."""
 
 from __future__ import annotations
 
@@ -6,215 +6,32 @@ import itertools
 import re
 from collections import ChainMap
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.arcs import segments
-from planner.export.grammar import Grammar, Statement
+from planner.export.grammar import Statement
 from planner.export.program import RobotProgram, Trigger
-from planner.export.rapid.extruder import (
-    END,
-    FIRST_PORT,
-    LAST_PORT,
-    LATEST,
-    LINE,
-    LONGEST_LINE,
-    OPEN,
-    SETTLE,
-    server,
-    server_declarations,
+from planner.export.rapid.extruder import FIRST_PORT, LAST_PORT, OPEN, server
+from planner.export.rapid.modules import (
+    AT,
+    FIRST,
+    GRAMMAR,
+    MORE,
+    SHAPE_JOINTS,
+    SPEED_UNITS,
+    TO,
+    UNIT,
+    VIA,
+    WORD,
+    Module,
+    numbers,
+    parse,
+    target_numbers,
 )
-from planner.export.rapid.text import HOME, NOT_LOADED, OWN_ZONES, ZONES
-
-# ----------------------------------------------------------------------------------------------------
-# Statements, and where each may stand in a module.
-
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?(?:E[0-9]+)?"
-_NUMBER = re.compile(NUMBER)
-NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
-NEST = r"\[[-0-9.,E\[\]]*\]"
-NEST_TARGET = r"\[\[[-0-9.,E]*(?:\],\[[-0-9.,E]*)*\]\]"  # ends where another one begins, whatever is in it
-NEST_ZONE = r"\[FALSE(?:,[0-9.]+){6}\]"
-POSE = r"\[\[[-0-9.,E]*\],\[[-0-9.,E]*\]\]"
-MOST_TRIGGERS = 8  # ABB, RAPID reference, TriggL: T1 to T8
-_TRIGGERS = rf"({NAME})((?:\\T[2-{MOST_TRIGGERS}]:={NAME})*)"
-# numbers of a target; almost every line is a move that has them, and is recognised at once
-_TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
-MISSHAPEN = "move without a target"
-_ZONE = "|".join(ZONES)
-_END = rf"({NAME})(?:,{_TRIGGERS})?,({_ZONE}),({NAME})\\WObj:=({NAME});"
-_MOVE = rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({{target}}),)?({{target}}),{_END}"
-_WORD, _VIA, _TO, _SPEED, _FIRST, _MORE, _AT, _TOOL, _WOBJ = range(9)  # parts of a move
-GRAMMAR = Grammar.of(
-    "RAPID",
-    "!",
-    {
-        "move": _MOVE.replace("{target}", rf"\[\[{_TARGET}\]\]"),
-        "module": rf"MODULE ({NAME})",
-        "tool": rf"PERS tooldata ({NAME}):=\[TRUE,({POSE}),{NEST}\];",
-        "wobj": rf'PERS wobjdata ({NAME}):=\[FALSE,(TRUE|FALSE),"({NAME})?",({POSE}),({POSE})\];',
-        "speed": rf"CONST speeddata ({NAME}):=({NEST});",
-        "zone": rf"CONST zonedata ({NAME}):=({NEST_ZONE});",
-        "variable": rf"VAR triggdata ({NAME});",
-        "trigger": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\DOp:=({NAME}),([01]);",
-        "proc": rf"PROC ({NAME})\(\)",
-        "demand": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\AOp:=({NAME}),({NUMBER});",
-        "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
-        MISSHAPEN: _MOVE.replace("{target}", NEST_TARGET),
-        "wait": rf"WaitTime ({NUMBER});",
-        "unit": rf"(ActUnit|DeactUnit) ({NAME});",
-        "output": rf"SetDO ({NAME}),([01]);",
-        "demanded": rf"SetAO ({NAME}),({NUMBER});",
-        "load": rf'(Load \\Dynamic,|UnLoad )"{HOME}"\\File:="({NAME}).mod";',
-        "late": rf'%"({NAME})"%;',
-        "error": r"(ERROR)",
-        "write": r'TPWrite "([^"]{0,80})";',
-        "send": rf'{LINE} ([0-9]{{1,7}}),"([A-Z][-A-Z0-9 .]{{0,{LONGEST_LINE - 1}}})";',
-        "settle": rf"{SETTLE} {LATEST};",
-        "socket": rf"({OPEN}|{END});",
-        "setting": r"(SingArea\\Off|ConfJ\\On|ConfL\\Off|CirPathMode\\ObjectFrame);",
-        "end": r"(ENDPROC|ENDMODULE)",
-        "call": rf"({NAME});",
-    },
-)
-DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "proc")
-UNIT = 1e-5  # by which a quaternion's length may miss 1: numbers have 7 decimals
-SPEED_UNITS = np.array([1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0])  # of a speeddata
-SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
-
-
-def numbers(nest: str, shape: str, statement: Statement) -> list[float]:
-    """Flat numbers of a nested list such as [[1,2,3],[1,0,0,0]], whose inner lengths must be `shape`, e.g. [3,4].
-
-    Raises InputError with the statement's line where they are not.
-    """
-    groups = nest[2:-2].split("],[") if nest.startswith("[[") and nest.endswith("]]") else [nest[1:-1]]
-    items = [group.split(",") for group in groups]
-    if f"[{','.join(str(len(item)) for item in items)}]" != shape:
-        raise statement.error(f"expected lists of lengths {shape} in {nest[:60]}")
-    flat = [value for item in items for value in item]
-    for value in flat:
-        if not _NUMBER.fullmatch(value):
-            raise statement.error(f"{value!r} is not a number")
-    return [float(value) for value in flat]
-
-
-def target_numbers(nests: Sequence[str]) -> Array:
-    """Numbers (m, 17) of targets that are known to have the right shape."""
-    # one conversion for all: the same correctly rounded numbers as float() gives, in a tenth of the time
-    flat = ",".join(nests).translate(str.maketrans("", "", "[]"))
-    return np.fromstring(flat, sep=",").reshape(len(nests), 17)
-
-
-def pose(nest: str, statement: Statement) -> Array:
-    """Position [m] and quaternion x y z w (7) of a RAPID pose."""
-    x, y, z, qw, qx, qy, qz = numbers(nest, SHAPE_POSE, statement)
-    return np.array([x * 1e-3, y * 1e-3, z * 1e-3, qx, qy, qz, qw])
-
-
-@dataclass(frozen=True)
-class Module:
-    """What stands in a module. `server` holds the lines of the socket's procedures, from `served` on, unread."""
-
-    file: str
-    name: str = ""
-    tool: dict[str, Array] = field(default_factory=dict)
-    wobj: dict[str, tuple[str, Array, Array]] = field(default_factory=dict)
-    speeds: dict[str, list[float]] = field(default_factory=dict)
-    zones: set[str] = field(default_factory=set)
-    triggers: set[str] = field(default_factory=set)
-    procs: dict[str, list[Statement]] = field(default_factory=dict)
-    server: list[str] = field(default_factory=list)
-    served: int = 0
-    fallback: list[str] = field(default_factory=list)
-
-
-def parse(text: str, file: str) -> Module:
-    """The statements of one module. Raises InputError with the line for what is not known, or stands where it may not."""
-    parser = _Parser(file)
-    raw = text.split("\n")
-    begins = f"    PROC {OPEN}()"
-    served = raw.index(begins) if begins in raw else len(raw)
-    closes = max(served, len(raw) - 2)
-    for line, text_ in enumerate(map(str.strip, raw), start=1):
-        if text_ and not text_.startswith(GRAMMAR.comment) and not served < line <= closes:
-            parser.take(text_, line)
-    if not parser.closed:
-        raise InputError("no complete module: ENDMODULE is missing", file=file)
-    if parser.declared != (server_declarations() if served < len(raw) else []):
-        raise InputError("the variables of the socket are others than its procedures need", file=file, line=served)
-    return replace(parser.module, name=parser.name, server=raw[served:closes], served=served + 1)
-
-
-class _Parser:
-    def __init__(self, file: str) -> None:
-        self.module = Module(file)
-        self.name = ""
-        self.names: dict[str, int] = {}
-        self.declared: list[str] = []
-        self.current = ""
-        self.handling = False  # behind ERROR of main
-        self.closed = False
-
-    def take(self, text: str, line: int) -> None:
-        if self.handling and text != "ENDPROC":
-            self.module.fallback.append(text)
-            return
-        if self.name and not self.current and not self.closed and f"    {text}" in server_declarations():
-            self.declared.append(f"    {text}")
-            return
-        statement = GRAMMAR.statement(text, line, self.module.file)
-        word = statement.word
-        if self.closed or (word != "module") == (not self.name):
-            raise statement.misplaced("outside the module")
-        inside = word not in DECLARATIONS and text != "ENDMODULE"
-        if inside != bool(self.current):
-            raise statement.misplaced(f"{'outside' if inside else 'inside'} a procedure")
-        if word == "error":
-            self.handling = True
-            self.module.fallback.append(text)
-        elif word == "end":
-            self.handling = False
-            self.closed = text == "ENDMODULE"
-            self.current = ""
-        elif word in DECLARATIONS:
-            self.declare(statement)
-        elif word == MISSHAPEN:
-            for target in filter(None, statement.parts[_VIA : _TO + 1]):
-                numbers(target, SHAPE_TARGET, statement)  # says what is wrong with it
-        else:
-            self.module.procs[self.current].append(statement)
-
-    def declare(self, statement: Statement) -> None:
-        parts, module = statement.parts, self.module
-        name = parts[0]
-        if name.lower() in self.names:  # RAPID does not tell capitals from small letters
-            what = "procedure" if statement.word == "proc" else "name"
-            raise statement.error(f"{what} {name} stands there twice, first in line {self.names[name.lower()]}")
-        self.names[name.lower()] = statement.line
-        if statement.word == "module":
-            self.name = name
-        elif statement.word == "tool":
-            module.tool[name] = pose(parts[1], statement)
-        elif statement.word == "wobj":
-            if (parts[1] == "FALSE") != bool(parts[2]):
-                raise statement.error("a work object moves if, and only if, it names a station")
-            module.wobj[name] = (parts[2], pose(parts[3], statement), pose(parts[4], statement))
-        elif statement.word == "speed":
-            module.speeds[name] = numbers(parts[1], "[4]", statement)
-        elif statement.word == "zone":
-            if OWN_ZONES.get(name) != parts[1]:
-                raise statement.error(f"zone {name} is none that these programs have")
-            module.zones.add(name)
-        elif statement.word == "variable":
-            module.triggers.add(name)
-        else:
-            self.current = name
-            module.procs[name] = []
-
+from planner.export.rapid.text import NOT_LOADED, OWN_ZONES, ZONES
 
 # ----------------------------------------------------------------------------------------------------
 # Execution: the motion of all modules, in the order in which they run.
@@ -305,7 +122,7 @@ class _RapidRun:
                 if way == "UnLoad " and not self.start:
                     self.cleared.add(_known(statement, name, self.others))
                     continue
-                if not self.moves or self.moves[-1].parts[_AT] != "fine":
+                if not self.moves or self.moves[-1].parts[AT] != "fine":
                     raise statement.error("modules are loaded, and taken out, at rest")
                 if way == "UnLoad ":
                     self.loaded.pop(_known(statement, name, self.loaded))
@@ -404,13 +221,13 @@ class _RapidRun:
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
                     triggers[i] = switches
                 asks[i] = [self.demand[name] for name in used if name in self.demand]
-        table = target_numbers([move.parts[_TO] for move in self.moves])
-        position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[_VIA]) for move in self.moves])
+        table = target_numbers([move.parts[TO] for move in self.moves])
+        position, circular = table[:, :3] * 1e-3, np.array([bool(move.parts[VIA]) for move in self.moves])
         arcs, postures = np.full_like(position, np.nan), np.full((len(position), 14), np.nan)
         self.check_orientations(self.moves, table)
         if circular.any():
-            on_arcs = [move for move in self.moves if move.parts[_VIA]]
-            vias = target_numbers([move.parts[_VIA] for move in on_arcs])
+            on_arcs = [move for move in self.moves if move.parts[VIA]]
+            vias = target_numbers([move.parts[VIA] for move in on_arcs])
             self.check_orientations(on_arcs, vias)
             arcs[circular] = vias[:, :3] * 1e-3
             postures[circular] = np.column_stack([vias[:, [4, 5, 6, 3, 7, 8, 9, 10]], _radians(vias[:, 11:])])
@@ -424,13 +241,13 @@ class _RapidRun:
             oframe=oframe,
             station=station,
             start=_radians(np.array(self.start)),
-            linear=np.array([move.parts[_WORD] != "MoveJ" for move in self.moves]),
-            fine=np.array([move.parts[_AT] == "fine" for move in self.moves]),
+            linear=np.array([move.parts[WORD] != "MoveJ" for move in self.moves]),
+            fine=np.array([move.parts[AT] == "fine" for move in self.moves]),
             position=position,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
             external=_radians(table[:, 11:]),
-            zone=np.array([ZONES[move.parts[_AT]] for move in self.moves]),
+            zone=np.array([ZONES[move.parts[AT]] for move in self.moves]),
             speed=np.array(speeds) * SPEED_UNITS,
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
             triggers=triggers,
@@ -457,11 +274,11 @@ class _RapidRun:
 
     def used(self, move: Statement) -> list[str]:
         """The triggers of a move, T1, T2 and so on."""
-        numbered = [each.split(":=") for each in move.parts[_MORE].split("\\")[1:]]
+        numbered = [each.split(":=") for each in move.parts[MORE].split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
             raise move.error("the triggers are not numbered T2, T3, …")
         known = {**self.trigger, **self.demand}
-        return [_known(move, name, known) for name in (move.parts[_FIRST], *(name for _, name in numbered))]
+        return [_known(move, name, known) for name in (move.parts[FIRST], *(name for _, name in numbered))]
 
     def check_server(self) -> None:
         """The socket's procedures must stand there as they always do, whatever the address."""
