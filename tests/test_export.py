@@ -239,6 +239,7 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate(monkeypatch):
         "tells_posture": True,
         "given": (),
         "station": None,
+        "second_arm": None,
         "postures": plan.cell.postures,
     }
     cell = SimpleNamespace(**parts, T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))

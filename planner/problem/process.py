@@ -36,7 +36,7 @@ from planner.problem.fields import (
     one_of,
     refusal,
 )
-from planner.problem.settings import INPUTS
+from planner.problem.settings import INPUTS, POSITIONER
 from planner.problem.yaml_file import describe
 
 if TYPE_CHECKING:
@@ -202,7 +202,8 @@ def check_materials(problem: Problem) -> None:
             reason = f"there is no material {name!r} in process.materials"
             raise problem.error(f"{field}.material", reason, f"did you mean {near}? {hint}" if near else hint)
     program = problem.program
-    taken = {getattr(program, use).lower(): f"program.{use}" for use in ("tool", "work_object", "station")}
+    uses = {"tool": program.tool, "work_object": program.work_object, "station": program.station or POSITIONER}
+    taken = {name.lower(): f"program.{use}" for use, name in uses.items()}
     for name, signal in signals(problem).items():
         field = f"process.materials.{name}.extruder_signal"
         if len(signal) > LONGEST_NAME:

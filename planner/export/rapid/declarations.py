@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.export.external import carrying_axes, external_axes
+from planner.export.external import carrying_axes, moving_unit, task_axes
 from planner.export.fit import from_matrix
 from planner.export.moves import Moves
 from planner.export.program import about
@@ -33,15 +33,15 @@ def external_text(degrees: Array) -> list[str]:
     return [pattern % tuple(row) for row in degrees.tolist()]
 
 
+def joints_text(degrees: Array) -> list[str]:
+    """The joints of each row, in degrees."""
+    return [",".join(number(value, 5) for value in row) for row in degrees.tolist()]
+
+
 # ----------------------------------------------------------------------------------------------------
 # Declarations: header, tool and work object, speeds.
 
 HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
-SECOND_ARM = (
-    "NOTE: what holds the part is an arm. A controller runs two arms as two tasks (MultiMove), not as external axes:",
-    "this program says what both arms do, but runs only where the second one is set up as a mechanical unit of this",
-    "task, as in a simulation. On two real arms, start from trajectory.csv.",
-)
 TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
@@ -70,7 +70,7 @@ def frames(plan: Plan) -> list[str]:
         comment("  " + pose_text(cell.T_world_base)),
     ]
     identity, on_plate = pose_text(np.eye(4)), pose_text(cell.T_plate_part)
-    letters = [f"eax_{letter} {axis.words}" for letter, axis in zip("abcdef", external_axes(cell), strict=False)]
+    letters = [f"eax_{letter} {axis.words}" for letter, axis in zip("abcdef", task_axes(cell), strict=False)]
     if before := letters[: len(carrying_axes(cell))]:
         lines[-2] = comment("Poses in the world that the controller's configuration must have. The base of the track,")
         lines[-1:] = [
@@ -78,21 +78,25 @@ def frames(plan: Plan) -> list[str]:
             comment("  " + pose_text(cell.T_world_base)),
             comment(f"Its axes: {', '.join(before)}."),
         ]
-    if cell.station is None:
+    unit = moving_unit(plan)
+    if not unit:
         frames = f'TRUE,"",{pose_text(cell.T_world_holder)},{identity}'
     else:
         axes = letters[len(before) :]
-        lines += [
-            comment(f"The base of station {names.station}:"),
-            comment("  " + pose_text(cell.T_world_holder_base)),
-            comment(f"Its axes: {', '.join(axes[:3])}."),
-            *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
-            comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
-        ]
-        if cell.station.inverse is not None:
-            lines += [comment(text) for text in SECOND_ARM]
+        base = [comment("  " + pose_text(cell.T_world_holder_base))]
+        if cell.second_arm is not None:
+            lines += [comment(f"The base of {unit}, {cell.second_arm.name}:"), *base]
+            lines += [comment(f"The user frame is the flange of {unit}; the part frame stands in it.")]
+        else:
+            lines += [
+                comment(f"The base of station {unit}:"),
+                *base,
+                comment(f"Its axes: {', '.join(axes[:3])}."),
+                *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
+                comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
+            ]
         # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
-        frames = f'FALSE,"{names.station}",{identity},{on_plate}'
+        frames = f'FALSE,"{unit}",{identity},{on_plate}'
     return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
 
 
@@ -102,8 +106,9 @@ def speed_numbers(plan: Plan, moves: Moves) -> Array:
     top = plan.problem.process.travel_speed * 1e3
     tip = np.where(moves.laid, np.round(moves.speed * 1e3, 3), np.clip(np.ceil(moves.speed * 1e3), 1.0, top))
     turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
-    turn_max = _rounded_up(HEAD_ROOM * float(turn.max()), 10.0)
-    axis_max = _rounded_up(HEAD_ROOM * float(axis.max(initial=0.0)), 10.0)
+    axis *= plan.cell.second_arm is None  # whose joints are not this task's
+    turn_max = with_head_room(float(turn.max()), 10.0)
+    axis_max = with_head_room(float(axis.max(initial=0.0)), 10.0)
     slide_max = max(1000.0, 100.0 * float(np.ceil(HEAD_ROOM * float(slide.max(initial=0.0)) / 100.0)))
     # where the tip hardly moves it cannot set the pace: there the turning does, at its real rate
     slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
@@ -125,8 +130,9 @@ def speeds(numbers: Array) -> tuple[list[str], list[str]]:
     return lines, [table[key] for key in keys]
 
 
-def _rounded_up(value: float, step: float) -> float:
-    return max(100.0, step * float(np.ceil(value / step)))
+def with_head_room(value: float, step: float) -> float:
+    """A speed above one that is needed, in steps, and of at least 100."""
+    return max(100.0, step * float(np.ceil(HEAD_ROOM * value / step)))
 
 
 def extruders(plan: Plan) -> dict[str, str]:

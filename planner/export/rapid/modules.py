@@ -12,6 +12,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.grammar import Grammar, Statement
 from planner.export.rapid.extruder import END, LATEST, LINE, LONGEST_LINE, OPEN, SETTLE, server_declarations
+from planner.export.rapid.multimove import LISTED
 from planner.export.rapid.text import HOME, OWN_ZONES, ZONES
 
 # ----------------------------------------------------------------------------------------------------
@@ -30,9 +31,12 @@ _TRIGGERS = rf"({NAME})((?:\\T[2-{MOST_TRIGGERS}]:={NAME})*)"
 _TARGET = "],\\[".join(",".join([NUMBER] * count) for count in (3, 4, 4, 6))
 MISSHAPEN = "move without a target"
 _ZONE = "|".join(ZONES)
-_END = rf"({NAME})(?:,{_TRIGGERS})?,({_ZONE}),({NAME})\\WObj:=({NAME});"
-_MOVE = rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({{target}}),)?({{target}}),{_END}"
-WORD, VIA, TO, SPEED, FIRST, MORE, AT, TOOL, WOBJ = range(9)  # parts of a move
+_IDENTITY = (
+    r"(?:\\ID:=([1-9][0-9]{0,6}))?"  # of moves that two tasks make together; RAPID's nums are whole up to 8 388 608
+)
+_END = rf"{_IDENTITY},({NAME})(?:,{_TRIGGERS})?,({_ZONE}),({NAME})\\WObj:=({NAME});"
+_MOVE = rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({{target}}),)?({{target}}){_END}"
+WORD, VIA, TO, ID, SPEED, FIRST, MORE, AT, TOOL, WOBJ = range(10)  # parts of a move
 GRAMMAR = Grammar.of(
     "RAPID",
     "!",
@@ -44,10 +48,12 @@ GRAMMAR = Grammar.of(
         "speed": rf"CONST speeddata ({NAME}):=({NEST});",
         "zone": rf"CONST zonedata ({NAME}):=({NEST_ZONE});",
         "variable": rf"VAR triggdata ({NAME});",
+        "point": rf"VAR syncident ({NAME});",
+        "tasks": rf"PERS tasks ({NAME}){re.escape(LISTED)};",
         "trigger": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\DOp:=({NAME}),([01]);",
         "proc": rf"PROC ({NAME})\(\)",
         "demand": rf"TriggIO ({NAME}),({NUMBER})(\\Start)?\\AOp:=({NAME}),({NUMBER});",
-        "absolute": rf"MoveAbsJ ({NEST}),({NAME}),fine,({NAME})\\WObj:=({NAME});",
+        "absolute": rf"MoveAbsJ ({NEST}){_IDENTITY},({NAME}),({_ZONE}),({NAME})(?:\\WObj:=({NAME}))?;",
         MISSHAPEN: _MOVE.replace("{target}", NEST_TARGET),
         "wait": rf"WaitTime ({NUMBER});",
         "unit": rf"(ActUnit|DeactUnit) ({NAME});",
@@ -55,7 +61,8 @@ GRAMMAR = Grammar.of(
         "demanded": rf"SetAO ({NAME}),({NUMBER});",
         "load": rf'(Load \\Dynamic,|UnLoad )"{HOME}"\\File:="({NAME}).mod";',
         "late": rf'%"({NAME})"%;',
-        "error": r"(ERROR)",
+        "meet": rf"(WaitSyncTask|SyncMoveOn|SyncMoveOff) ({NAME})(?:,({NAME}))?;",
+        "handler": r"(ERROR|UNDO)",
         "write": r'TPWrite "([^"]{0,80})";',
         "send": rf'{LINE} ([0-9]{{1,7}}),"([A-Z][-A-Z0-9 .]{{0,{LONGEST_LINE - 1}}})";',
         "settle": rf"{SETTLE} {LATEST};",
@@ -65,7 +72,7 @@ GRAMMAR = Grammar.of(
         "call": rf"({NAME});",
     },
 )
-DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "proc")
+DECLARATIONS = ("module", "tool", "wobj", "speed", "zone", "variable", "point", "tasks", "proc")
 UNIT = 1e-5  # by which a quaternion's length may miss 1: numbers have 7 decimals
 SPEED_UNITS = np.array([1e-3, np.pi / 180.0, 1e-3, np.pi / 180.0])  # of a speeddata
 SHAPE_POSE, SHAPE_TARGET, SHAPE_JOINTS = "[3,4]", "[3,4,4,6]", "[6,6]"
@@ -102,7 +109,12 @@ def pose(nest: str, statement: Statement) -> Array:
 
 @dataclass(frozen=True)
 class Module:
-    """What stands in a module. `server` holds the lines of the socket's procedures, from `served` on, unread."""
+    """What stands in a module.
+
+    points, tasks  at which two tasks meet, and the name of their list; empty where there is none
+    server         lines of the socket's procedures, from `served` on, unread
+    fallback       of main's handlers
+    """
 
     file: str
     name: str = ""
@@ -111,6 +123,8 @@ class Module:
     speeds: dict[str, list[float]] = field(default_factory=dict)
     zones: set[str] = field(default_factory=set)
     triggers: set[str] = field(default_factory=set)
+    points: set[str] = field(default_factory=set)
+    tasks: str = ""
     procs: dict[str, list[Statement]] = field(default_factory=dict)
     server: list[str] = field(default_factory=list)
     served: int = 0
@@ -131,17 +145,17 @@ def parse(text: str, file: str) -> Module:
         raise InputError("no complete module: ENDMODULE is missing", file=file)
     if parser.declared != (server_declarations() if served < len(raw) else []):
         raise InputError("the variables of the socket are others than its procedures need", file=file, line=served)
-    return replace(parser.module, name=parser.name, server=raw[served:closes], served=served + 1)
+    return replace(parser.module, name=parser.name, tasks=parser.tasks, server=raw[served:closes], served=served + 1)
 
 
 class _Parser:
     def __init__(self, file: str) -> None:
         self.module = Module(file)
-        self.name = ""
+        self.name = self.tasks = ""
         self.names: dict[str, int] = {}
         self.declared: list[str] = []
         self.current = ""
-        self.handling = False  # behind ERROR of main
+        self.handling = False  # behind ERROR or UNDO of main
         self.closed = False
 
     def take(self, text: str, line: int) -> None:
@@ -158,7 +172,7 @@ class _Parser:
         inside = word not in DECLARATIONS and text != "ENDMODULE"
         if inside != bool(self.current):
             raise statement.misplaced(f"{'outside' if inside else 'inside'} a procedure")
-        if word == "error":
+        if word == "handler":
             self.handling = True
             self.module.fallback.append(text)
         elif word == "end":
@@ -196,6 +210,10 @@ class _Parser:
             module.zones.add(name)
         elif statement.word == "variable":
             module.triggers.add(name)
+        elif statement.word == "point":
+            module.points.add(name)
+        elif statement.word == "tasks":
+            self.tasks = name
         else:
             self.current = name
             module.procs[name] = []

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections import ChainMap
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,126 +18,76 @@ from planner.export.rapid.modules import (
     AT,
     FIRST,
     GRAMMAR,
+    ID,
     MORE,
-    SHAPE_JOINTS,
     SPEED_UNITS,
     TO,
     UNIT,
     VIA,
     WORD,
     Module,
-    numbers,
     parse,
     target_numbers,
 )
-from planner.export.rapid.text import NOT_LOADED, OWN_ZONES, ZONES
+from planner.export.rapid.tasks import AROUND, SecondRun, TaskRun, known, moved_together, radians
+from planner.export.rapid.text import ZONES
 
 # ----------------------------------------------------------------------------------------------------
 # Execution: the motion of all modules, in the order in which they run.
 
-# What stands around the motion, in main alone: it must all be there, before the start or behind the last move.
-AROUND = ("setting", "unit", "output", "demanded")
 SETTINGS = {"SingArea\\Off", "ConfJ\\On", "ConfL\\Off", "CirPathMode\\ObjectFrame"}
 _BIND = re.compile(r'SocketBind bwServer,"(\d{1,3}(?:\.\d{1,3}){3})",(\d{4});', re.ASCII)
 
 
 def read_rapid(text: str) -> RobotProgram:
     """Program of RAPID text as `writer.rapid` writes it, in one module; else as `read_rapid_files`."""
-    return _RapidRun([parse(text, GRAMMAR.file)]).program()
+    return _program([parse(text, GRAMMAR.file)])
 
 
 def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
     """Program of the modules (*.mod) of `writer.rapid_files`, whatever else there is.
 
-    Raises InputError with file and line for a statement, name or shape that is not known.
+    Raises InputError with file and line for a statement, name or shape that is not known, and for two tasks that do not fit
+    together.
     """
-    return _RapidRun([parse(text, file) for file, text in files.items() if file.endswith(".mod")]).program()
+    return _program([parse(text, file) for file, text in files.items() if file.endswith(".mod")])
 
 
-def _radians(degrees: Array) -> Array:
-    """Angles [rad]; 9E9 means unused, here NaN."""
-    return np.where(degrees > 1e9, np.nan, np.radians(degrees))
+def _program(modules: Sequence[Module]) -> RobotProgram:
+    mains = [each for each in modules if "main" in each.procs]
+    seconds = [each for each in mains if each.tasks and not each.wobj]
+    if len(mains) != 1 + len(seconds) or len(seconds) > 1:
+        raise InputError("no complete module with main, one tool and one work object", file=modules[0].file)
+    loaded = {each.parts[1] for main in seconds for each in main.procs["main"] if each.word == "load"}
+    own = [each for each in modules if each in seconds or each.name in loaded]
+    nozzle = _NozzleRun([each for each in modules if each not in own])
+    if bool(nozzle.module.tasks) != bool(seconds):
+        raise InputError("one of two modules that belong together is missing", file=modules[0].file)
+    program = nozzle.program()
+    return moved_together(program, nozzle, SecondRun(own)) if seconds else program
 
 
-def _known(statement: Statement, name: str, names: Collection[str]) -> str:
-    if name not in names:
-        raise statement.error(f"unknown name {name!r}")
-    return name
+class _NozzleRun(TaskRun):
+    """The task that moves the nozzle, and drives the extruder."""
 
-
-class _RapidRun:
-    """What the modules do, statement by statement."""
+    placed_first = False
 
     def __init__(self, modules: Sequence[Module]) -> None:
-        mains = [module for module in modules if "main" in module.procs]
-        if len(mains) != 1 or len(mains[0].tool) != 1 or len(mains[0].wobj) != 1:
+        super().__init__(modules)
+        if len(self.module.tool) != 1 or len(self.module.wobj) != 1:
             raise InputError("no complete module with main, one tool and one work object", file=modules[0].file)
-        self.module = mains[0]
-        self.others = {module.name: module for module in modules if module is not self.module}
-        self.loaded: dict[str, Module] = {}
-        self.cleared: set[str] = set()
         self.trigger: dict[str, Trigger] = {}
         self.demand: dict[str, tuple[float, bool, float]] = {}
         self.outputs: dict[str, None] = {}
         self.flows: set[str] = set()
         self.around: tuple[set[str], set[str]] = (set(), set())
-        self.start: list[float] = []
-        self.approach = ""
-        self.moves: list[Statement] = []
         self.waits: dict[int, float] = {}
         self.sends: dict[int, list[str]] = {}
         self.rested: dict[int, list[float]] = {}
         self.sent = 0
         self.calls: list[str] = []  # of the socket's procedures
-        for module in self.others.values():
-            if any((module.tool, module.wobj, module.speeds, module.zones, module.triggers, module.server)):
-                raise InputError("a module that is loaded has procedures and nothing else", file=module.file)
-        known: dict[str, str] = {}
-        for module in modules:
-            for proc in module.procs:
-                first = known.setdefault(proc.lower(), module.file)
-                if first is not module.file:
-                    raise InputError(f"procedure {proc} stands there twice, first in {first}", file=module.file)
-        loads = self.run()
+        self.follow()
         self.check_around()
-        if self.module.fallback != ([line.strip() for line in NOT_LOADED] if loads else []):
-            raise InputError("main handles other errors than that a module was not loaded", file=self.module.file)
-        if self.cleared != loads:
-            left = ", ".join(sorted(loads - self.cleared))
-            raise InputError(f"what is loaded before it begins is not taken out: {left}", file=self.module.file)
-        if set(self.others) != loads:
-            raise InputError(f"not loaded: {', '.join(sorted(set(self.others) - loads))}", file=self.module.file)
-
-    def run(self) -> set[str]:
-        """Follow main; returns the names of all modules that were loaded."""
-        loads: set[str] = set()
-        for statement in self.module.procs["main"]:
-            if statement.word == "call":
-                self.call(statement, self.module.procs)
-            elif statement.word == "late":
-                self.call(statement, ChainMap(*(each.procs for each in reversed(self.loaded.values()))))
-            elif statement.word == "load":
-                way, name = statement.parts
-                if way == "UnLoad " and not self.start:
-                    self.cleared.add(_known(statement, name, self.others))
-                    continue
-                if not self.moves or self.moves[-1].parts[AT] != "fine":
-                    raise statement.error("modules are loaded, and taken out, at rest")
-                if way == "UnLoad ":
-                    self.loaded.pop(_known(statement, name, self.loaded))
-                else:
-                    other = _known(statement, name, set(self.others) - set(self.loaded))
-                    self.loaded[other] = self.others[other]
-                    loads.add(other)
-            else:
-                self.take(statement)
-        return loads
-
-    def call(self, statement: Statement, procs: Mapping[str, list[Statement]]) -> None:
-        for inner in procs[_known(statement, statement.parts[0], procs)]:
-            if inner.word in ("call", "late", "load", *AROUND):
-                raise inner.error("only main calls procedures, loads modules, and sets what holds for all")
-            self.take(inner)
 
     def take(self, statement: Statement) -> None:
         word, parts = statement.word, statement.parts
@@ -146,12 +95,13 @@ class _RapidRun:
         if word == "move":
             if self.around[1]:
                 raise statement.error("a move behind the end")
-            self.moves.append(statement)
+            self.go(statement, parts[ID], parts[AT])
         elif word == "absolute":
-            if self.moves or self.start:
-                raise statement.error("MoveAbsJ is for the start only")
-            self.approach = _known(statement, parts[1], self.module.speeds)
-            self.start = numbers(parts[0], SHAPE_JOINTS, statement)
+            _, identity, _, zone, tool, wobj = parts
+            self.begin(statement, identity, zone)
+            known(statement, tool, self.module.tool)
+            if wobj or not self.module.tasks:  # one that another task moves is for moves in step with it
+                known(statement, wobj, () if self.module.tasks else self.module.wobj)
         elif word in ("trigger", "demand"):
             distance, from_start, signal, value = (
                 float(parts[1]) * 1e-3,
@@ -159,7 +109,7 @@ class _RapidRun:
                 parts[3],
                 parts[4],
             )
-            name = _known(statement, parts[0], self.module.triggers)
+            name = known(statement, parts[0], self.module.triggers)
             if word == "trigger":
                 self.trigger[name] = Trigger(distance, from_start, value == "1", signal)
                 self.outputs[signal] = None
@@ -187,6 +137,7 @@ class _RapidRun:
         """Outputs are off before and after, the station is active, and singularities and configurations are as written."""
         station = next(iter(self.module.wobj.values()))[0]
         off = {f"{signal} 0" for signal in (*self.outputs, *self.flows)}
+        station = "" if self.module.tasks else station  # an arm's unit is always active
         before = off | SETTINGS | ({f"ActUnit {station}"} if station else set())
         after = off | ({f"DeactUnit {station}"} if station else set())
         for where, found, wanted in zip(("before", "behind"), self.around, (before, after), strict=True):
@@ -203,19 +154,15 @@ class _RapidRun:
         speeds, triggers, module = [], {}, self.module
         asks: dict[int, list[tuple[float, bool, float]]] = {}
         for i, move in enumerate(self.moves):
-            word, via, _, speed, first, _, zone, tool, wobj = move.parts
-            if speed not in module.speeds or tool not in module.tool or wobj not in module.wobj:
-                for name, names in ((speed, module.speeds), (tool, module.tool), (wobj, module.wobj)):
-                    _known(move, name, names)
-            if min(module.speeds[speed]) <= 0.0:
-                raise move.error(f"{speed} has a speed that is not above 0")
-            speeds.append(module.speeds[speed])
+            word, via, _, _, speed, first, _, _, tool, wobj = move.parts
+            if tool not in module.tool or wobj not in module.wobj:
+                for name, names in ((tool, module.tool), (wobj, module.wobj)):
+                    known(move, name, names)
+            speeds.append(self.speed(move, speed))
             if bool(first) != word.startswith("Trigg"):
                 raise move.error("TriggL and TriggC, and nothing else, have triggers")
             if bool(via) != word.endswith("C"):
                 raise move.error("MoveC and TriggC, and nothing else, have a point on the way")
-            if zone in OWN_ZONES and zone not in module.zones:
-                _known(move, zone, module.zones)
             if first:
                 used = self.used(move)
                 if switches := tuple(self.trigger[name] for name in used if name in self.trigger):
@@ -230,7 +177,7 @@ class _RapidRun:
             vias = target_numbers([move.parts[VIA] for move in on_arcs])
             self.check_orientations(on_arcs, vias)
             arcs[circular] = vias[:, :3] * 1e-3
-            postures[circular] = np.column_stack([vias[:, [4, 5, 6, 3, 7, 8, 9, 10]], _radians(vias[:, 11:])])
+            postures[circular] = np.column_stack([vias[:, [4, 5, 6, 3, 7, 8, 9, 10]], radians(vias[:, 11:])])
         begin = np.vstack([position[:1], position[:-1]])
         lengths = segments(begin, np.where(circular[:, None], arcs, position), position, circular).length
         station, uframe, oframe = next(iter(module.wobj.values()))
@@ -240,13 +187,13 @@ class _RapidRun:
             uframe=uframe,
             oframe=oframe,
             station=station,
-            start=_radians(np.array(self.start)),
+            start=radians(np.array(self.start)),
             linear=np.array([move.parts[WORD] != "MoveJ" for move in self.moves]),
             fine=np.array([move.parts[AT] == "fine" for move in self.moves]),
             position=position,
             quat=table[:, [4, 5, 6, 3]],
             conf=table[:, 7:11].astype(np.intp),
-            external=_radians(table[:, 11:]),
+            external=radians(table[:, 11:]),
             zone=np.array([ZONES[move.parts[AT]] for move in self.moves]),
             speed=np.array(speeds) * SPEED_UNITS,
             wait=np.array([self.waits.get(i, 0.0) for i in range(len(self.moves))]),
@@ -277,8 +224,8 @@ class _RapidRun:
         numbered = [each.split(":=") for each in move.parts[MORE].split("\\")[1:]]
         if [number for number, _ in numbered] != [f"T{k}" for k in range(2, len(numbered) + 2)]:
             raise move.error("the triggers are not numbered T2, T3, …")
-        known = {**self.trigger, **self.demand}
-        return [_known(move, name, known) for name in (move.parts[FIRST], *(name for _, name in numbered))]
+        declared = {**self.trigger, **self.demand}
+        return [known(move, name, declared) for name in (move.parts[FIRST], *(name for _, name in numbered))]
 
     def check_server(self) -> None:
         """The socket's procedures must stand there as they always do, whatever the address."""
@@ -294,7 +241,7 @@ class _RapidRun:
         binds = _BIND.search("\n".join(written))
         if binds is None or not FIRST_PORT <= int(binds[2]) <= LAST_PORT:
             raise error("the socket is bound to nothing that it may be bound to")
-        expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs)
+        expected = server(module.name, self.sent, binds[1], int(binds[2]), self.outputs, not module.tasks)
         for k, (line, right) in enumerate(itertools.zip_longest(written, expected), module.served):
             if line != right:
                 raise error(f"the socket's procedures say {line!r} instead of {right!r}", k)

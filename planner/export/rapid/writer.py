@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Indices
 from planner.base.gcode_lines import time_of
 from planner.export.controllers import CONTROLLERS
-from planner.export.external import external_written
+from planner.export.external import external_written, moving_unit, task_axes
 from planner.export.fit import continuous
 from planner.export.forecast import judged
 from planner.export.in_step import laid_filament
@@ -26,6 +26,7 @@ from planner.export.rapid.declarations import (
     extruders,
     frames,
     header,
+    joints_text,
     speed_numbers,
     speeds,
     zone_declarations,
@@ -45,6 +46,17 @@ from planner.export.rapid.extruder import (
     server,
     server_declarations,
     table,
+)
+from planner.export.rapid.multimove import (
+    DECLARED,
+    OFF,
+    ON,
+    UNDO,
+    WAIT,
+    identity,
+    second_module,
+    second_modules,
+    together,
 )
 from planner.export.rapid.reader import read_rapid_files
 from planner.export.rapid.text import (
@@ -95,9 +107,14 @@ def _robtargets(plan: Plan, poses: Poses, q: Array, sample: Indices) -> list[str
             plan.trajectory.branch[sample],
         ]
     )
-    external = external_text(external_written(plan.cell, poses.station))
+    external = external_text(_own_axes(plan, poses.station))
     pattern = "[[%.3f,%.3f,%.3f],[%.7f,%.7f,%.7f,%.7f],[%d,%d,%d,%d],[%s]]"
     return [pattern % (*row, ext) for row, ext in zip(numbers.tolist(), external, strict=True)]
+
+
+def _own_axes(plan: Plan, station: Array) -> Array:
+    """The external axes (m, k) [deg, mm] that this task moves, from all those beside the arm that move (m, f)."""
+    return external_written(plan.cell, station)[:, : len(task_axes(plan.cell))]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -176,9 +193,9 @@ def procedures_of(
     """All procedures with moves, in the order of calling; speeds: names, of the way to the start and of every move."""
     names, places = plan.problem.program, targets(plan, moves)
     frames = f"{names.tool}\\WObj:={names.work_object};"
-    sent = _numbered(lines)
+    sent, alone = _numbered(lines), plan.cell.second_arm is None
     about = "The planned start as a target: the robot must not move here, if tool and work object are right."
-    start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
+    start = f"        MoveJ {places[0]}{'' if alone else identity(-1)},{speeds[0]},fine,{frames}"
     there = _resting(moves.waits.get(-1, ()), sent.get(-1, ()))
     found = [Procedure("Start", (comment(about, 8),), ((start, *there),), True)]
     linear, circular, fine = moves.linear.tolist(), moves.circular.tolist(), moves.fine.tolist()
@@ -189,7 +206,8 @@ def procedures_of(
         word = ("Trigg" if own else "Move") + ("C" if circular[i] else "L" if linear[i] or own else "J")
         via = f"{vias[i]}," if circular[i] else ""
         what = "".join(f"\\T{k}:={name}" if k > 1 else f",{name}" for k, name in enumerate(own, 1))
-        move = f"        {word} {via}{places[i + 1]},{speeds[i + 1]}{what},{zones[i]},{frames}"
+        place = places[i + 1] + ("" if alone else identity(i))
+        move = f"        {word} {via}{place},{speeds[i + 1]}{what},{zones[i]},{frames}"
         return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
 
     for section in sections(plan, moves):
@@ -338,10 +356,9 @@ def note_lines(notes: tuple[ProgramNote, ...], plan: Plan, moves: Moves, files: 
 # the loader must hold at once, and a loop over them puts logic between fly-by points.
 
 
-def pgf(plan: Plan) -> str:
-    """Program file that names the module; load this one on the controller."""
-    module = f"\t<Module>{module_name(plan.name)}.mod</Module>\n"
-    return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n{module}</Program>\n'
+def pgf(module: str) -> str:
+    """Program file that names a module; load this one on the controller."""
+    return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n\t<Module>{module}.mod</Module>\n</Program>\n'
 
 
 def rapid(plan: Plan) -> str:
@@ -359,13 +376,14 @@ def rapid_moves(plan: Plan) -> Moves:
 def rapid_files(plan: Plan) -> dict[str, str]:
     """All files of the program of a verified plan, by name: ASCII, mm, degrees, targets in the part frame.
 
-    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`.
+    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`; where
+    a second arm moves the part, its own modules and program file besides, see `multimove`.
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
     InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
     require_writable(plan, unsupported_in_rapid(plan))
     name, spec, moves = module_name(plan.name), plan.problem.program, rapid_moves(plan)
-    sends = spec.style == "socket"
+    sends, both = spec.style == "socket", plan.cell.second_arm is not None
     lines = lines_of(plan, moves) if sends else ()
     triggers = triggers_of(plan, moves, demand_of(plan, moves) if spec.style == "demand" else None)
     declared, speed_names = speeds(speed_numbers(plan, moves))
@@ -373,10 +391,12 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     batches = batches_of(name, others, spec.module_moves) if len(moves) > spec.module_moves else ()
     here = [start, *(others if not batches else [])]
     calls = [f"        {procedure.name};" for procedure in here] + [s for batch in batches for s in running(batch)]
-    top = [f"MODULE {name}", *header(plan), *_sizes(plan, moves)]
+    told = [comment(text) for text in together(plan)] if both else []
+    top = [f"MODULE {name}", *header(plan), *told, *_sizes(plan, moves)]
     rest = [
         "",
         *frames(plan),
+        *(DECLARED if both else []),
         "",
         *declared,
         *zone_declarations([start, *others]),
@@ -386,18 +406,28 @@ def rapid_files(plan: Plan) -> dict[str, str]:
         "",
         *_main(plan, unloading(batches), calls, speed_names[0], triggers.settings),
         *(NOT_LOADED if batches else []),
+        *(UNDO if both else []),
         "    ENDPROC",
         "",
         *(line for procedure in here for line in procedure.text),
-        *(server(name, len(lines), spec.socket.address, spec.socket.port, extruders(plan).values()) if sends else []),
+        *(served(plan, len(lines)) if sends else []),
         "ENDMODULE",
         "",
     ]
     modules = {f"{name}.mod": "\n".join(top + rest)}
     modules |= {f"{module.name}.mod": module.text for batch in batches for module in batch}
-    if notes := notes_of(plan, moves, read_rapid_files(modules)):
+    second = second_modules(plan, moves, [start, *others], zones_of(plan, moves)) if both else {}
+    if notes := notes_of(plan, moves, read_rapid_files({**modules, **second})):
         modules[f"{name}.mod"] = "\n".join(top + note_lines(notes, plan, moves, modules) + rest)
-    return {**modules, f"{name}.pgf": pgf(plan)} | ({f"{name}_lines.csv": table(lines)} if lines else {})
+    programs = {f"{each}.pgf": pgf(each) for each in (name, *([second_module(plan)] if both else []))}
+    return {**modules, **second, **programs} | ({f"{name}_lines.csv": table(lines)} if lines else {})
+
+
+def served(plan: Plan, lines: int) -> list[str]:
+    """The procedures that serve the socket of a program that sends so many lines."""
+    socket, outputs = plan.problem.program.socket, extruders(plan).values()
+    alone = plan.cell.second_arm is None
+    return server(module_name(plan.name), lines, socket.address, socket.port, outputs, alone)
 
 
 def _sizes(plan: Plan, moves: Moves) -> list[str]:
@@ -410,9 +440,12 @@ def _sizes(plan: Plan, moves: Moves) -> list[str]:
 def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
     """The procedure main, without its end."""
     names, cell, start = plan.problem.program, plan.cell, plan.trajectory.q[:1]
-    joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
-    external = external_text(external_written(cell, start[:, cell.besides]))[0]
-    station = [] if cell.station is None else [names.station]
+    joints = joints_text(np.degrees(start[:, cell.own]))[0]
+    external = external_text(_own_axes(plan, start[:, cell.besides]))[0]
+    both = cell.second_arm is not None
+    station = [] if cell.station is None or both else [moving_unit(plan)]
+    # a work object that another task moves is for moves in step with it
+    frames = names.tool if both else f"{names.tool}\\WObj:={names.work_object}"
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]
@@ -428,10 +461,13 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
         "        CirPathMode\\ObjectFrame;",
         *off,
         *(f"        {setting}" for setting in triggers),
-        f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{names.tool}\\WObj:={names.work_object};",
+        *([WAIT] if both else []),
+        f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{frames};",
+        *([ON] if both else []),
         *([f"        {OPEN};"] if sends else []),
         *calls,
         *([f"        {END};"] if sends else []),
+        *([OFF] if both else []),
         *off,
         *(f"        DeactUnit {name};" for name in station),
         '        TPWrite "Finished";',
