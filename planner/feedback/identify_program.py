@@ -263,6 +263,11 @@ def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
         raise InputError(reason, field="--language", hint="move it by a program of your own that asks the same moves")
     if (reason_not := LANGUAGES[language].unsupported(ProblemSetup(problem, cell))) is not None:
         raise InputError(f"{language} cannot say this: {reason_not}", field="--language")
+    if language == "rapid" and cell.second_arm is not None:
+        reason = f"{cell.second_arm.name} moves in a task of its own, and a test program is one task"
+        raise InputError(
+            reason, field="cell.positioner.free", hint="[] holds it; its own limits: a problem in which it is the arm"
+        )
     return language
 
 
