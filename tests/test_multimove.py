@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_fixtures import two_arms_plan, written_with
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from solved import solve_alone
 
 from planner.base.errors import InputError
@@ -348,6 +350,26 @@ def test_no_statement_of_the_second_task_can_be_missed() -> None:
         assert wrong(written() | {SECOND: left}), lines[k]
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_no_digit_of_the_second_task_can_be_another(data: st.DataObject) -> None:
+    """But the last one of a joint, which rounding may be, and those of the load, which is the user's."""
+    text = written()[SECOND]
+    lines = [
+        (match.start(), match[0])
+        for match in re.finditer(r"        (?:MoveAbsJ|\w+;|SyncMove|WaitSync)[^\n]*|    CONST speeddata[^\n]*", text)
+    ]
+    begin, line = data.draw(st.sampled_from(lines))
+    shown = re.sub(r"\[9E9[^]]*\]|(?<=\.\d{4})\d", lambda hidden: "-" * len(hidden[0]), line)
+    digits = [k for k, each in enumerate(shown) if each.isdigit()]
+    if not digits:
+        return
+    at = begin + data.draw(st.sampled_from(digits))
+    other = data.draw(st.sampled_from([each for each in "0123456789" if each != text[at]]))
+    spoilt = text[:at] + other + text[at + 1 :]
+    assert wrong(written() | {SECOND: spoilt}), spoilt[begin : begin + len(line)]
+
+
 def test_one_arm_s_program_takes_no_identities() -> None:
     from export_fixtures import make_plan
 
@@ -440,6 +462,27 @@ def test_each_task_of_a_controller_gets_its_own_program(tmp_path: Path) -> None:
             rws.unload("T_ROB2")
             with pytest.raises(LinkError, match="one of two modules that belong together is missing"):
                 rws.to_main()
+        rws.close()
+
+
+@pytest.mark.parametrize("arms", [1, 2])
+def test_both_tasks_must_be_active(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arms: int) -> None:
+    for name, text in written().items():
+        (tmp_path / name).write_text(text)
+    with start(access=Access(password="pw"), arms=arms) as made:
+        rws = Rws(Address(*made.rws), 1, "Default User", Secret("pw"))
+        if arms == 2:
+            listed = rws._states
+            monkeypatch.setattr(
+                rws,
+                "_states",
+                lambda *asked: [
+                    {**each, "active": "On" if each["name"] == "T_ROB1" else "Off"} for each in listed(*asked)
+                ],
+            )
+        with pytest.raises(LinkError, match="T_ROB2 is no active task of the controller"):
+            bring(rws, program_files(tmp_path / NOZZLE), lambda text: None)
+        assert made.controller.files() == []  # nothing was sent
         rws.close()
 
 

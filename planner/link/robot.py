@@ -132,11 +132,14 @@ def bring(rws: Rws, files: Mapping[str, bytes], say: Callable[[str], None], way:
 
     way: of the files, where it is not the web services'.
     """
+    programs = programs_of(files)
+    if len(programs) > 1 and (idle := programs.keys() - rws.active()):
+        raise LinkError(f"{min(idle)} is no active task of the controller, and both arms wait for each other")
     for name, data in files.items():
         say(f"uploading {name} ({len(data) / 1e3:.0f} kB)")
         (way or rws).upload(name, data)
     with rws.mastership():
-        for task, module in programs_of(files).items():
+        for task, module in programs.items():
             rws.load(f"{module}.pgf", task)
             loaded = rws.modules(task)
             if loaded != (module,):

@@ -158,6 +158,11 @@ class Rws:
         """Whether RAPID runs in any task."""
         return self._state("rw/rapid/execution", "ctrlexecstate", seconds).lower() != "stopped"
 
+    def active(self) -> tuple[str, ...]:
+        """Names of the tasks that run when the controller is started, as its task panel has them."""
+        listed = self._states("rw/rapid/tasks")[:MOST_MODULES]
+        return tuple(str(each.get("name")) for each in listed if str(each.get("active")).lower() == "on")
+
     def modules(self, task: str = TASK) -> tuple[str, ...]:
         """Names of the modules of a task's loaded program; those of the system are not among them."""
         listed = self._states(self._dialect.modules.format(task=task))[:MOST_MODULES]
