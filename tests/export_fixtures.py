@@ -54,6 +54,15 @@ JOINTS = {
         f"{name}_joint" for name in ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
     )
 }
+# an arm that holds the part where the positioner does, its last joint in place of the table's
+SECOND_ARM = {
+    "robot": "irb1200_09",
+    "base_mm": (1459.65, 9.87, -210.32),
+    "turn_deg": 180,
+    "free": ("joint_6",),
+    "held_deg": {"joint_2": 60, "joint_3": -40, "joint_5": -110},
+    "part_rpy_deg": (0, 0, 180),
+}
 TABLE_TURN = 0.6  # of the bead's turning done by the table; the arm does the rest
 
 
@@ -70,6 +79,9 @@ def problem(
     station = {"robot": "irbp_a250", "origin_mm": (633.5, 9.87, 380), "free": free}
     holder = {"positioner": station} if positioner else {"bed_mm": (450, -50, 380)}
     limits = _limits((*JOINTS.get(arm, NUMBERED), *(free if positioner else ())))
+    if free == SECOND_ARM["free"]:
+        holder = {"positioner": SECOND_ARM}
+        limits = _limits((*NUMBERED, "positioner_joint_6"))
     nozzle = {"tip_mm": (-44.51, 9.9, 113.95), "diameter_mm": 0.6}
     return SimpleNamespace(
         name="two_beads",
@@ -295,6 +307,15 @@ def socket_plan() -> Plan:
     return replace(plan, problem=spec, trajectory=replace(t, **held, events=events))
 
 
+@cache
+def two_arms_plan(**program: Any) -> Plan:
+    """One bead on a part that a second arm turns while it is laid."""
+    plan = make_plan(beads=1, length=0.012, dip=False, free=SECOND_ARM["free"])
+    spec = problem(free=SECOND_ARM["free"], **program)
+    spec.name = "two_arms"
+    return replace(plan, problem=spec)
+
+
 def demand_plan(**program: Any) -> Plan:
     """One short bead with a dip on a fixed bed, in style `demand`."""
     plan = make_plan(positioner=False, beads=1, length=0.012, detour=False)
@@ -339,12 +360,13 @@ def golden_texts() -> dict[str, str]:
         "two_beads_joint_trajectory.json": joint_trajectory(short),
         "two_beads_extruder.json": switches(plan),
         "TwoBeads.mod": rapid(plan),
-        "TwoBeads.pgf": pgf(plan),
+        "TwoBeads.pgf": pgf("TwoBeads"),
         "TwoMaterials.mod": rapid(mixed),
         "two_materials.gcode": gcode(mixed),
         "extrusion.gcode": gcode(plan),
         **{k: text for k, text in rapid_files(socket_plan()).items() if not k.endswith(".pgf")},
         "AskedBead.mod": rapid(demand_plan()),
+        **{k: text for k, text in rapid_files(two_arms_plan(style="socket")).items() if not k.endswith("lines.csv")},
         "plan.json": plan_json(plan),
         "trajectory.csv": table.getvalue(),
     }

@@ -37,7 +37,8 @@ from planner.export.grammar import Statement
 from planner.export.plan_json import plan_json
 from planner.export.player.play import play
 from planner.export.rapid import writer
-from planner.export.rapid.reader import NUMBER, numbers, read_rapid
+from planner.export.rapid.modules import NUMBER, numbers
+from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.text import comment, module_name
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.readback import compare, judge
@@ -239,6 +240,7 @@ def test_where_the_tip_stands_still_the_turning_has_its_real_rate(monkeypatch):
         "given": (),
         "station": None,
         "nozzle_name": "",
+        "second_arm": None,
         "postures": plan.cell.postures,
     }
     cell = SimpleNamespace(**parts, T_part_nozzle=lambda q: _standing(t.tip[0], rows["axis"][0], len(q)))

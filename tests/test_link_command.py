@@ -16,7 +16,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from export_fixtures import socket_plan
+from export_fixtures import socket_plan, two_arms_plan
 from link_ends import as_results
 from rich.console import Console
 from simulate_fixtures import MODULE, program, reader
@@ -113,7 +113,7 @@ def test_a_second_print_with_files_over_ftp_and_an_empty_task(
     request: pytest.FixtureRequest,
 ) -> None:  # fmt: skip
     """On a controller in use: a print, the same again, and the task is left empty."""
-    version = request.node.callspec.params["machine"].get("version", 1)
+    version = request.node.callspec.params["machine"].get("access", Access()).version
     monkeypatch.setitem(DIALECTS, 2, replace(DIALECTS[2], scheme="http"))
     assert main(arguments(files, machine, "--rws", str(version))) == 0
     again = ["--rws", str(version), "--log", str(files.with_name("again.jsonl")), "--upload", "ftp", "--unload"]
@@ -389,9 +389,12 @@ def test_a_program_in_modules(files: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("arms", [1, 2])
+def test_the_demo_with_a_program_as_it_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arms: int
+) -> None:
     """Writer, link, simulated controller with our reader, simulated board: each knows only the wire."""
-    texts = rapid_files(socket_plan())
+    texts = rapid_files(socket_plan() if arms == 1 else two_arms_plan(style="socket"))
     for name, text in texts.items():
         (tmp_path / name).write_text(text)
     as_results(tmp_path)
@@ -399,9 +402,11 @@ def test_the_demo_with_a_program_as_it_is_written(tmp_path: Path, capsys: pytest
     log = tmp_path / "log.jsonl"
     assert main(["--demo", str(tmp_path / f"{module}.mod"), "--pace", "100", "--quiet", "--log", str(log)]) == 0
     count = len(texts[f"{module}_lines.csv"].splitlines()) - 1
-    assert f"done: all {count} lines were acknowledged" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"done: all {count} lines were acknowledged" in said
+    assert ("unloaded: both tasks are empty" if arms == 2 else "unloaded: the task is empty") in said
     sent = [json.loads(line)["n"] for line in log.read_text().splitlines() if json.loads(line)["what"] == "sent"]
-    assert sent == list(range(1, count + 1)) and count > 5
+    assert sent == list(range(1, count + 1)) and count > 2
 
 
 def test_the_demo_solves_anew_what_another_version_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -269,7 +269,9 @@ def test_what_was_changed_in_a_program_is_found() -> None:
     with pytest.raises(InputError, match="MoveAbsJ is for the start, and for a change of the tool"):
         spoilt(absolute + "\n", "")  # so that the next change is to the tool in use
     joint = absolute.split("[[")[1].split(",")[0]
-    assert any("frames differs" in each for each in spoilt(absolute, absolute.replace(joint, f"{float(joint) + 0.1:.5f}")))
+    assert any(
+        "frames differs" in each for each in spoilt(absolute, absolute.replace(joint, f"{float(joint) + 0.1:.5f}"))
+    )
     move = next(line for line in change.split("PROC Bead0002")[1].split("\n") if "Move" in line)
     with pytest.raises(InputError, match="it moves tPla while tPva is in use"):
         spoilt(move, move.replace("tPva", "tPla"))

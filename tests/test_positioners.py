@@ -16,8 +16,8 @@ from planner.base.errors import InputError, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.export.languages import chosen
 from planner.export.plan_json import cell_screws
-from planner.export.rapid.reader import read_rapid
-from planner.export.rapid.writer import rapid
+from planner.export.rapid.reader import read_rapid, read_rapid_files
+from planner.export.rapid.writer import rapid, rapid_files
 from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
@@ -208,11 +208,11 @@ def test_every_kind_of_cell_prints_a_verified_wave(folder: Path, name: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["one", "two", "arm_held", "arm_some", "arm_all"])
-def test_external_axes_read_back_from_rapid(folder: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["one", "two", "arm_some", "arm_all"])
+def test_what_moves_the_part_reads_back_from_rapid(folder: Path, name: str) -> None:
     plan = plan_of(folder, name)
-    text = rapid(plan)
-    program = read_rapid(text)
+    files = rapid_files(plan)
+    program = read_rapid_files(files)
     cell, axes = plan.cell, plan.cell.holder_robot.joint_names
     assert np.isnan(program.start[6 + len(axes) :]).all()
     for k, axis in enumerate(axes):
@@ -222,9 +222,9 @@ def test_external_axes_read_back_from_rapid(folder: Path, name: str) -> None:
             expected = plan.trajectory.q[0, 6 + cell.holder.names.index(axis)]
         assert program.start[6 + k] == pytest.approx(expected, abs=1e-5)
     np.testing.assert_allclose(program.oframe[:3], cell.T_plate_part[:3, 3], atol=1e-6)
-    assert ("MultiMove" in text) == name.startswith("arm")
-    last = f"positioner_{axes[-1]}" if axes[-1] in cell.arm.names else axes[-1]  # as in trajectory.csv
-    assert f"eax_{'abcdef'[len(axes) - 1]} {last}" in text
+    text = files["Wave.mod"]
+    assert ("MultiMove" in text) == ("Wave_Rob2.mod" in files) == name.startswith("arm")
+    assert (f"eax_{'abcdef'[len(axes) - 1]} {axes[-1]}" in text) == (cell.second_arm is None)
 
 
 def test_a_turned_bed_stands_in_every_export(folder: Path, tmp_path: Path) -> None:
@@ -250,7 +250,8 @@ def test_a_turned_bed_stands_in_every_export(folder: Path, tmp_path: Path) -> No
 
 def test_robot_code_of_a_second_arm_repeats_the_plan(folder: Path, tmp_path: Path) -> None:
     written = write_robot_code(plan_of(folder, "arm_all"), tmp_path)  # compares before it writes
-    assert [path.name for path in written] == ["Wave.mod", "Wave.pgf", "extrusion.gcode"]
+    both = ["Wave.mod", "Wave_Rob2.mod", "Wave.pgf", "Wave_Rob2.pgf"]
+    assert [path.name for path in written] == [*both, "extrusion.gcode"]
 
 
 def test_a_second_arm_need_not_start_where_it_can_work(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -134,7 +134,8 @@ def test_defaults(in_tmp: Path) -> None:
     assert problem.resolve.min_sigma == 0.05
     program = problem.program
     names = (program.tool, program.work_object, program.station, program.extruder_signal)
-    assert names == ("tPen", "wobjPart", "STN1", "doExtrude")
+    assert names == ("tPen", "wobjPart", None, "doExtrude")
+    assert [program.mover(second_arm) for second_arm in (False, True)] == ["STN1", "ROB_2"]
 
 
 def test_nozzle_axis_and_limits_may_be_left_out(in_tmp: Path) -> None:

@@ -28,6 +28,7 @@ class Controller:
 
         names = ("StopMove", "SetDO", "TPWrite", "SocketClose", "WaitRob", "ClearPath", "StartMove")
         return {
+            "SystemStopAction": self.stop_all,
             **{name: does(name) for name in names},
             "SocketPeek": self.peek,
             "SocketReceive": self.receive,
@@ -37,6 +38,10 @@ class Controller:
             "Trunc": int,
             **{name: name for name in ("bwClient", "bwServer", "bsClient", "bsServer")},
         }
+
+    def stop_all(self, StopBlock: bool) -> None:
+        self.done.append("SystemStopAction StopBlock")
+        raise Ended
 
     def peek(self, socket: str) -> int:
         if not self.connected:
@@ -60,9 +65,9 @@ class Controller:
         self.done.append(f"says {Str}")
 
 
-def program(controller: Controller) -> Runner:
+def program(controller: Controller, alone: bool = True) -> Runner:
     """The server of a program, with StrToVal, which alone gives a value back through a parameter."""
-    text = "\n".join([*server_declarations(), *server("M" * 32, 9999999, "127.0.0.1", 1025, ["doA", "doB"])])
+    text = "\n".join([*server_declarations(), *server("M" * 32, 9999999, "127.0.0.1", 1025, ["doA", "doB"], alone)])
     text = re.sub(r"whole:=StrToVal\((.*),n\);", r"n:=value(\1);\nwhole:=n<>none;", text)
     number = re.compile(r" *-?\d+(\.\d+)?")
     runner = Runner(
@@ -91,13 +96,16 @@ def test_the_longest_line_with_the_largest_number_fits():
     assert controller.done == [f"says L 9999999 {'G' * LONGEST_LINE}\n"]
 
 
-def stopped(controller: Controller) -> list[str]:
+ALONE, BOTH = ("ClearPath", "StartMove"), ("SystemStopAction StopBlock",)
+
+
+def stopped(controller: Controller, over: tuple[str, ...] = ALONE) -> list[str]:
     """What was done at a stop, checked: rest first, outputs off at once and again at rest, nothing left to go on with."""
     done = controller.done
     stop, rest = done.index("StopMove"), done.index("WaitRob ZeroSpeed")
     off = ["SetDO doA 0", "SetDO doB 0"]
     assert done[stop + 1 : stop + 3] == off
-    assert done[rest:] == ["WaitRob ZeroSpeed", *off, "ClearPath", "StartMove"]
+    assert done[rest:] == ["WaitRob ZeroSpeed", *off, *over]
     return [words for words in done if words.startswith("says X")]
 
 
@@ -120,6 +128,16 @@ def test_a_relay_that_fails_is_told_and_the_robot_stops(pieces, sent, reason):
     with pytest.raises(Ended):
         runner.names["BwLine"](sent + 1, "G1 E1.00000 F60.000")
     assert stopped(controller) == [f"says X {sent} {reason}\n"]
+
+
+def test_where_two_arms_move_together_both_tasks_are_stopped():
+    """A task that has ended alone would leave the other one waiting: the controller stops them, at rest, until both begin anew."""
+    controller = Controller("S the board has gone\n")
+    runner = program(controller, alone=False)
+    runner.names["bwSent"] = 3
+    with pytest.raises(Ended):
+        runner.names["BwLine"](4, "G1 E1.00000 F60.000")
+    assert stopped(controller, BOTH) == ["says X 3 the relay asked for it\n"]
 
 
 def test_a_lost_connection_stops_the_robot_though_nobody_hears_it():

@@ -22,8 +22,8 @@ from export_fixtures import (
 from planner.base.errors import InputError
 from planner.export.languages import LANGUAGES
 from planner.export.rapid.reader import read_rapid, read_rapid_files
-from planner.export.rapid.text import batches_of
-from planner.export.rapid.writer import Procedure, rapid, rapid_files
+from planner.export.rapid.text import Procedure, batches_of
+from planner.export.rapid.writer import rapid, rapid_files
 
 RAPID = LANGUAGES["rapid"]
 

@@ -31,6 +31,8 @@ def spoilt(folder: Path, name: str, old: str, new: str) -> Path:
     ("tool", "name", "old", "new"),
     [
         ("rapidchecker", "AskedBead.mod", ",fine,tPen", ",fine tPen"),
+        ("rapidchecker", "TwoArms.mod", "\\ID:=7,", "\\ID=7,"),
+        ("rapidchecker", "TwoArms_Rob2.mod", "PERS tasks bwTasks{2}", "PERS tasks bwTasks{2"),
         ("tree_sitter_gcode", "two_beads.ngc", "G1 X-8.1393", "G1 X-8..1393"),
     ],
 )

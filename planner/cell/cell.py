@@ -167,6 +167,11 @@ class Cell:
         return None if robot is not None and robot.inverse is not None and not len(self.holder) else robot
 
     @property
+    def second_arm(self) -> Robot | None:
+        """The arm that moves the part, which has a task of its own on the controller; none where an axis does, or nothing."""
+        return self.station if self.station is not None and self.station.inverse is not None else None
+
+    @property
     def besides(self) -> tuple[int, ...]:
         """All other joints (indices), which a controller counts as external axes: what carries the arm, the holder's."""
         na = len(self.arm)
@@ -243,6 +248,10 @@ class Cell:
         if not isinstance(self.inverse, SphericalWrist):
             raise Refusal(f"this cannot be done yet with {self.arm_robot.name}: its wrist is not spherical")
         return self.inverse
+
+    def flange_of_second_arm(self, q: Array) -> Array:
+        """Its poses in the world (m, 4, 4), at the free joints q (m, k) of what moves the part."""
+        return self.holder.poses(q) @ rigid_inverse(self.T_plate_part[None])
 
     def T_part_nozzle(self, q: Array) -> Array:
         """Nozzle poses in the part frame (m, 4, 4) of postures q (m, n)."""

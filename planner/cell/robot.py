@@ -66,6 +66,11 @@ class Robot:
         """Names in joint order, base first."""
         return tuple(self.model.names[1:])
 
+    @property
+    def counts_as_controllers(self) -> bool:
+        """Whether its joints are those of the usual industrial arm, counted as data sheets and controllers do."""
+        return isinstance(self.inverse, SphericalWrist)
+
     @cached_property
     def slides(self) -> tuple[bool, ...]:
         """Of each joint whether it slides: its places are metres."""

@@ -11,6 +11,7 @@ from planner.base.arrays import Array
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
+    from planner.export.program import Setup
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,17 @@ def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
     own, slides = cell.station.joint_names, cell.station.slides
     names = [f"positioner_{name}" if name in cell.arm.names else name for name in own]  # as `Cell.joint_names` has them
     return (*carrying_axes(cell), *map(ExternalAxis, names, map(cell.held.get, own), slides))
+
+
+def task_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
+    """External axes of the task that moves the nozzle: a second arm's joints are moved by a task of its own."""
+    return carrying_axes(cell) if cell.second_arm is not None else external_axes(cell)
+
+
+def moving_unit(setup: Setup) -> str:
+    """Name of the mechanical unit that moves the part; empty where nothing does."""
+    cell = setup.cell
+    return "" if cell.station is None else setup.problem.program.mover(cell.second_arm is not None)
 
 
 def external_written(cell: Cell, station: Array) -> Array:

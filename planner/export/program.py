@@ -106,6 +106,8 @@ class RobotProgram:
     station                    mechanical unit that moves the part; empty for a fixed bed
     start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
     approach                   (4,) speed of that move, as `speed`; None where a program does not say
+    second                     (m + 1, 4) likewise of the arm that moves the part, by its flange in the world: of its way to the
+                               start, then of each move; None where no arm does
     linear, fine               (m,) bool; what is not linear goes straight in joint space
     position, quat             (m, 3) [m], (m, 4) x y z w
     conf                       (m, 4) cf1, cf4, cf6, cfx; UNSPECIFIED where the language has none
@@ -148,6 +150,7 @@ class RobotProgram:
     arcs: Array | None = None
     arc_postures: Array | None = None
     approach: Array | None = None
+    second: Array | None = None
 
     @property
     def circular(self) -> NDArray[np.bool_]:

@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 from planner.export.axes.flavours import FLAVOURS
-from planner.export.external import external_axes
+from planner.export.external import external_axes, moving_unit
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 
 if TYPE_CHECKING:
+    from planner.cell.robot import Robot
     from planner.export.program import Setup
     from planner.plan import Plan
     from planner.problem import Problem
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 Output = TypeVar("Output", int, str)
 
 EXTERNAL_AXES = 6  # of KRL: E1 to E6
+ARMS = ("ROB_1", "ROB_2")  # mechanical units of a MultiMove system
 STANDARD_OUTPUTS = 8  # of a UR control box, numbered from 0
 VAL3_OUTPUTS = 16  # of the board that a CS8 or CS9 has, numbered from 0
 STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints
@@ -69,16 +71,40 @@ def _one_nozzle(setup: Setup) -> str | None:
 
 
 def unsupported_in_rapid(setup: Setup) -> str | None:
-    """Why RAPID does not support a cell; None if it does."""
-    arm, holder = setup.cell.arm_robot, setup.cell.station
+    """Why RAPID does not support a cell; None if it does.
+
+    Raises InputError for a mechanical unit that no arm of a MultiMove system has.
+    """
+    arm, holder, second = setup.cell.arm_robot, setup.cell.station, setup.cell.second_arm
     if setup.cell.nozzles and setup.problem.program.style != "output":
         return f"with several nozzles program.style is output, not {setup.problem.program.style}"
+    if setup.cell.nozzles and second is not None:
+        return f"{second.name} moves the part in a task of its own, which is written for one nozzle"
     if not setup.cell.tells_posture:
         return f"the configuration of a target is that of a spherical wrist, which {arm.name} has not"
+    if second is not None:
+        return _unsupported_in_multimove(setup, second)
     if holder is not None and len(holder.joint_names) > RAPID_EXTERNAL_AXES:
         return f"{holder.name} has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
     if len(external_axes(setup.cell)) > RAPID_EXTERNAL_AXES:
         return f"what carries the arm and the part has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
+    return None
+
+
+def _unsupported_in_multimove(setup: Setup, second: Robot) -> str | None:
+    """Why two tasks of RAPID, one of them of the arm that moves the part, do not support a cell; None if they do."""
+    unit = moving_unit(setup)
+    if unit not in ARMS:
+        hint = f"one of {', '.join(ARMS)}, or leave it out"
+        raise setup.problem.error("program.station", f"{unit!r} is no arm of a MultiMove system", hint)
+    if second.language != "rapid":
+        return (
+            f"MultiMove moves ABB's arms, and {second.name}, which moves the part, is none by the language in its file"
+        )
+    if not second.counts_as_controllers:
+        return f"{second.name}, which moves the part, counts its joints otherwise than its controller"
+    if setup.cell.rails:
+        return f"{setup.cell.joint_names[0]} carries one of two arms, and such a MultiMove program is not written"
     return None
 
 

@@ -144,7 +144,7 @@ def _write(options: argparse.Namespace) -> int:
     with results_folder(target, BY) as fresh:
         spaces = free_spaces(cell, obstacles_of(problem, cell, build_toolpath(problem)), start, most)
         asked = asked_moves(problem, cell, start, spaces, language)
-        files = program_files(cell, asked, problem.program.station)
+        files = program_files(cell, asked, problem.program.mover(second_arm=False))
         files[asked_name(problem.name)] = asked_text(asked)
         for name, text in files.items():
             (fresh / name).write_text(text, encoding="utf-8", newline="\n")

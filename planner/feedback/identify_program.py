@@ -25,8 +25,8 @@ from planner.export.joint_trajectory import SplineKnots, message
 from planner.export.krl import axes, krl_name
 from planner.export.languages import LANGUAGES
 from planner.export.program import ProblemSetup
+from planner.export.rapid.declarations import TOOL_LOAD, external_text, pose_text
 from planner.export.rapid.text import comment, module_name
-from planner.export.rapid.writer import TOOL_LOAD, external_text, pose_text
 from planner.export.text import ascii_comment, number
 from planner.feedback.identify_profile import MotionLimits, move_profile
 from planner.feedback.readings import JointCounting, counting
@@ -263,6 +263,11 @@ def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
         raise InputError(reason, field="--language", hint="move it by a program of your own that asks the same moves")
     if (reason_not := LANGUAGES[language].unsupported(ProblemSetup(problem, cell))) is not None:
         raise InputError(f"{language} cannot say this: {reason_not}", field="--language")
+    if language == "rapid" and cell.second_arm is not None:
+        reason = f"{cell.second_arm.name} moves in a task of its own, and a test program is one task"
+        raise InputError(
+            reason, field="cell.positioner.free", hint="[] holds it; its own limits: a problem in which it is the arm"
+        )
     return language
 
 

@@ -6,7 +6,7 @@ import argparse
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
@@ -35,7 +35,16 @@ from planner.link.ftp import Ftp
 from planner.link.messages import stop as stop_words
 from planner.link.program_lines import NO_BEAD, ProgramLines, lines_file, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
-from planner.link.robot import RobotWatch, bring, check_ready, check_together, program_files, start, stop_robot
+from planner.link.robot import (
+    RobotWatch,
+    bring,
+    check_ready,
+    check_together,
+    program_files,
+    programs_of,
+    start,
+    stop_robot,
+)
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
 
@@ -154,7 +163,8 @@ def _demo(options: argparse.Namespace, say: Callable[[str], None]) -> int:
 
     options.program = options.program or demo.demo_program(say)
     options.secret = Secret(demo.PASSWORD)
-    with demo.simulated(options.pace) as (options.controller, options.socket, options.head):
+    arms = len(programs_of(program_files(options.program)))
+    with demo.simulated(options.pace, arms=arms) as (options.controller, options.socket, options.head):
         code = _run(options, say)
         if code == EXIT_VERIFIED and not options.dry_run:
             with closing(_rws(options, options.secret)) as rws:
@@ -197,7 +207,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
                 trouble = robot.close()
                 started.over = True
         if options.unload:
-            _unload(rws, say)
+            _unload(rws, programs_of(files), say)
         return _told(lines, outcome, trouble, problem, log, say)
 
 
@@ -212,10 +222,11 @@ def _way(options: argparse.Namespace, secret: Secret) -> Iterator[Ftp | None]:
         yield way
 
 
-def _unload(rws: Rws, say: Callable[[str], None]) -> None:
+def _unload(rws: Rws, tasks: Iterable[str], say: Callable[[str], None]) -> None:
     try:
         with rws.mastership():
-            rws.unload()
+            for task in tasks:
+                rws.unload(task)
     except (LinkError, InputError) as error:
         say(f"the program stays loaded: {error}")
 

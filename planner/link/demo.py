@@ -14,7 +14,7 @@ from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.export.rapid.reader import read_rapid_files
 from planner.link.as_written import differing
 from planner.link.connections import Address, LinkError
-from planner.link.robot import bring, program_files, start, stop_robot
+from planner.link.robot import bring, program_files, programs_of, start, stop_robot
 from planner.link.rws import Rws
 from planner.planning.solve_command import main as solve
 from planner.simulate.rws import Access
@@ -41,12 +41,13 @@ def demo_program(say: Callable[[str], None]) -> Path:
 
 
 @contextmanager
-def simulated(pace: float, version: int = 1) -> Iterator[tuple[Address, Address, Address]]:
+def simulated(pace: float, version: int = 1, arms: int = 1) -> Iterator[tuple[Address, Address, Address]]:
     """Both simulators: where the controller's web services, its program and the board listen.
 
     The web services are strict, and another program is loaded, as on a controller that somebody uses.
     """
-    with start_simulators(pace=pace, access=Access(password=PASSWORD, version=version), in_use=True) as made:
+    access = Access(password=PASSWORD, version=version)
+    with start_simulators(pace=pace, access=access, in_use=True, arms=arms) as made:
         yield Address(*made.rws), Address(*made.program), Address(*made.board)
 
 
@@ -64,16 +65,19 @@ def show_steps(rws: Rws, program: Path, say: Callable[[str], None]) -> None:
         if (wrong := stop_robot(rws)) is not None:
             raise LinkError(f"{what} does not stop: {wrong}")
         say(f"{what}: stopped")
+    tasks = programs_of(files)
     with rws.mastership():
-        rws.unload()
-    if rws.modules():
-        raise LinkError("the task is not empty")
-    say("unloaded: the task is empty")
+        for task in tasks:
+            rws.unload(task)
+    for task in tasks:
+        if rws.modules(task):
+            raise LinkError(f"the task {task} is not empty")
+    say(f"unloaded: {'both tasks are' if len(tasks) > 1 else 'the task is'} empty")
 
 
 def _renamed(files: Mapping[str, bytes], stem: str) -> dict[str, bytes]:
     """A program under another name, as a second one."""
-    old, new = re.compile(rb"\b" + stem.encode() + rb"(?=\b|_\d)"), SECOND.encode()
+    old, new = re.compile(rb"\b" + stem.encode() + rb"(?=\b|_\d|_Rob\d)"), SECOND.encode()
     return {name.replace(stem, SECOND): old.sub(new, data) for name, data in files.items()}
 
 

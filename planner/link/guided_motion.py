@@ -102,6 +102,10 @@ def read_plan(folder: Path) -> JointPlan:
         raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
     if len(arm) != ARM_AXES or len(holder) > MOST_EXTERNAL:
         raise InputError(f"EGM moves arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} more", file=path)
+    if len(holder) == ARM_AXES:  # an arm, whose joints are another robot's and no external axes of this one
+        if len(held) < len(holder):
+            raise InputError("a second arm moves the part, and EGM guides one", file=path)
+        holder = []
     if any(joint.get("type") == "prismatic" for joint in data["cell"]["joints"]):
         raise InputError("guided motion moves no axes that slide", file=path)
     if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):

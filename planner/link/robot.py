@@ -11,8 +11,9 @@ from typing import Protocol
 
 from planner.base.errors import InputError
 from planner.base.files import read_bytes
+from planner.export.rapid.multimove import TASKS, second_name
 from planner.link.connections import LinkError
-from planner.link.rws import ExecutionEvents, Rws
+from planner.link.rws import TASK, ExecutionEvents, Rws
 
 # ----------------------------------------------------------------------------------------------------
 # The files of a program.
@@ -20,17 +21,44 @@ from planner.link.rws import ExecutionEvents, Rws
 LARGEST_MODULE = 100_000_000  # bytes
 _LOADED = re.compile(rb'\\File:="([A-Za-z][A-Za-z0-9_]{0,31}\.mod)"')
 _HELLO = re.compile(rb'"H ([A-Za-z][A-Za-z0-9_]{0,31}) ([0-9]{1,9})\\0A"')
+# a part that an arm moves: its own module, in a task of its own
+_MOVER = re.compile(rb'PERS wobjdata \w+:=\[FALSE,FALSE,"(' + "|".join(TASKS).encode() + rb')"')
 _IN_PROGRAM = re.compile(rb"<Module>\s*([^<]*?)\s*</Module>")
 
 
 def program_files(program: Path) -> dict[str, bytes]:
-    """Files of a program by name: its own module first, those that it loads while it runs, and its program file."""
+    """Files of a program by name: its own module first, those that it loads while it runs, and its program file; of two
+    tasks, then those of the arm that moves the part.
+    """
 
     def complain(reason: str, hint: str | None = None) -> InputError:
         return InputError(reason, file=program, hint=hint)
 
     if program.suffix.lower() != ".mod":
         raise complain("is no module of RAPID", "name the .mod that was written in style socket")
+    files = _task_files(program)
+    for module in list(programs_of(files).values()):
+        if module != program.stem:
+            files |= _task_files(program.with_name(f"{module}.mod"))
+    return files
+
+
+def programs_of(files: Mapping[str, bytes]) -> dict[str, str]:
+    """Task → name of its main module, of a program's files: one task, or two where a second arm moves the part."""
+    name = next(iter(files))
+    stem, moved = name.removesuffix(".mod"), _MOVER.search(files[name])
+    if moved is None:
+        return {TASK: stem}
+    unit = moved[1].decode("ascii")
+    return {task: second_name(stem, unit) if each == unit else stem for each, task in TASKS.items()}
+
+
+def _task_files(program: Path) -> dict[str, bytes]:
+    """Files of one task: its module with main first, those that it loads, and its program file."""
+
+    def complain(reason: str, hint: str | None = None) -> InputError:
+        return InputError(reason, file=program, hint=hint)
+
     main = read_bytes(program, LARGEST_MODULE, complain)
     if main.split(b"\n", 1)[0].split()[:2] != [b"MODULE", program.stem.encode()]:
         raise complain(f"its first line is not MODULE {program.stem}", "the file's name must be the module's")
@@ -100,20 +128,23 @@ def check_ready(rws: Rws) -> None:
 
 
 def bring(rws: Rws, files: Mapping[str, bytes], say: Callable[[str], None], way: Upload | None = None) -> None:
-    """Upload the files, load the program in place of what is there, and set the program pointer to main.
+    """Upload the files, load the program of each task in place of what is there, and set the program pointers to main.
 
     way: of the files, where it is not the web services'.
     """
+    programs = programs_of(files)
+    if len(programs) > 1 and (idle := programs.keys() - rws.active()):
+        raise LinkError(f"{min(idle)} is no active task of the controller, and both arms wait for each other")
     for name, data in files.items():
         say(f"uploading {name} ({len(data) / 1e3:.0f} kB)")
         (way or rws).upload(name, data)
-    module = next(iter(files)).removesuffix(".mod")
     with rws.mastership():
-        rws.load(f"{module}.pgf")
-        loaded = rws.modules()
-        if loaded != (module,):
-            there = ", ".join(loaded[:5]) or "no module"
-            raise LinkError(f"the controller was to load {module} alone, and has {there}")
+        for task, module in programs.items():
+            rws.load(f"{module}.pgf", task)
+            loaded = rws.modules(task)
+            if loaded != (module,):
+                there = ", ".join(loaded[:5]) or "no module"
+                raise LinkError(f"the controller was to load {module} alone into {task}, and has {there}")
         rws.to_main()
 
 

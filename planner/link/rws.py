@@ -44,7 +44,7 @@ class Dialect:
     port: int
     home: str  # the controller's HOME where a program is loaded from
     motors: str  # where the controller's state is
-    modules: str  # where the loaded modules are
+    modules: str  # where a task's loaded modules are
     domain: str  # of mastership, for loading and for the program pointer
     load: str  # action that loads a program
     unload: str
@@ -61,7 +61,7 @@ DIALECTS = {
         port=80,
         home="$HOME",
         motors="rw/panel/ctrlstate",
-        modules=f"rw/rapid/modules?task={TASK}",
+        modules="rw/rapid/modules?task={task}",
         domain="rapid",
         load="loadprog",
         unload="unloadprog",
@@ -76,7 +76,7 @@ DIALECTS = {
         port=443,
         home="HOME",
         motors="rw/panel/ctrl-state",
-        modules=f"rw/rapid/tasks/{TASK}/modules",
+        modules="rw/rapid/tasks/{task}/modules",
         domain="edit",
         load="load",
         unload="unload",
@@ -158,9 +158,14 @@ class Rws:
         """Whether RAPID runs in any task."""
         return self._state("rw/rapid/execution", "ctrlexecstate", seconds).lower() != "stopped"
 
-    def modules(self) -> tuple[str, ...]:
-        """Names of the modules of the loaded program; those of the system are not among them."""
-        listed = self._states(self._dialect.modules)[:MOST_MODULES]
+    def active(self) -> tuple[str, ...]:
+        """Names of the tasks that run when the controller is started, as its task panel has them."""
+        listed = self._states("rw/rapid/tasks")[:MOST_MODULES]
+        return tuple(str(each.get("name")) for each in listed if str(each.get("active")).lower() == "on")
+
+    def modules(self, task: str = TASK) -> tuple[str, ...]:
+        """Names of the modules of a task's loaded program; those of the system are not among them."""
+        listed = self._states(self._dialect.modules.format(task=task))[:MOST_MODULES]
         return tuple(str(each.get("name")) for each in listed if str(each.get("type")).lower().startswith("prog"))
 
     def upload(self, name: str, data: bytes) -> None:
@@ -183,17 +188,17 @@ class Rws:
                     self._act(place, "release", seconds=STOP_TIME)
         self._act(place, "release")
 
-    def load(self, program: str) -> None:
-        """Load a program from its .pgf in HOME, in place of the whole program that is there. Needs mastership."""
+    def load(self, program: str, task: str = TASK) -> None:
+        """Load a program from its .pgf in HOME, in place of the task's whole program that is there. Needs mastership."""
         form = {"progpath": f"{self._dialect.home}/{program}", "loadmode": "replace"}
-        self._act(f"rw/rapid/tasks/{TASK}/program", self._dialect.load, form, seconds=SLOW)
+        self._act(f"rw/rapid/tasks/{task}/program", self._dialect.load, form, seconds=SLOW)
 
-    def unload(self) -> None:
+    def unload(self, task: str = TASK) -> None:
         """Unload the program, so that the task is empty. Needs mastership."""
-        self._act(f"rw/rapid/tasks/{TASK}/program", self._dialect.unload)
+        self._act(f"rw/rapid/tasks/{task}/program", self._dialect.unload)
 
     def to_main(self) -> None:
-        """Set the program pointer to main. Needs mastership."""
+        """Set the program pointers of all tasks to main. Needs mastership."""
         self._act("rw/rapid/execution", "resetpp")
 
     def start(self) -> None:

@@ -108,6 +108,8 @@ def packed(
 
 def stream_of(program: RobotProgram) -> Stream:
     """The frames of a program of any style. Raises InputError for what only the program itself can do."""
+    if program.second is not None:
+        raise InputError("two arms move together, and a stream moves one", hint="run the program's own two modules")
     m = len(program.position)
     signals: list[str] = []
     codes = np.zeros((m + 1, 8), np.int64)

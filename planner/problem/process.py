@@ -36,7 +36,7 @@ from planner.problem.fields import (
     one_of,
     refusal,
 )
-from planner.problem.settings import INPUTS
+from planner.problem.settings import INPUTS, POSITIONER
 from planner.problem.yaml_file import describe
 
 if TYPE_CHECKING:
@@ -206,7 +206,8 @@ def check_materials(problem: Problem) -> None:
             raise problem.error(f"{field}.material", reason, f"did you mean {near}? {hint}" if near else hint)
     check_nozzles(problem)
     program = problem.program
-    taken = {getattr(program, use).lower(): f"program.{use}" for use in ("tool", "work_object", "station")}
+    uses = {"tool": program.tool, "work_object": program.work_object, "station": program.station or POSITIONER}
+    taken = {name.lower(): f"program.{use}" for use, name in uses.items()}
     for name in problem.cell.nozzles:
         first = taken.setdefault(name.lower(), f"cell.nozzles.{name}")
         if first != f"cell.nozzles.{name}":

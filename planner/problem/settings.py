@@ -62,6 +62,9 @@ SYNCS: tuple[str, ...] = get_args(SyncName)
 # byte of Marlin's pin numbers (M226 P). Klipper waits for none.
 INPUTS = {"reprap": 56, "marlin": 256}
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
+# mechanical units of ABB controllers: a positioner, and the arms of a MultiMove system
+POSITIONER, ARMS = "STN1", ("ROB_1", "ROB_2")
+SECOND_ARM = ARMS[1]
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 # names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
 _OWN_NAMES = re.compile(
@@ -310,7 +313,11 @@ class ProgramSpec(Section):
     )
     tool: Identifier = key("tool", "the tooldata", "tPen")
     work_object: Identifier = key("work_object", "the wobjdata", "wobjPart")
-    station: Identifier = key("station", "the positioner's mechanical unit", "STN1")
+    station: Identifier | None = key(
+        "station",
+        f"the mechanical unit that moves the part; default: {POSITIONER}, or {SECOND_ARM} where a second arm does",
+        None,
+    )
     extruder_signal: Identifier = key("extruder_signal", "the digital output of the extruder", "doExtrude")
     extruder_output: Annotated[int, Quantity("", 0, 4096, whole=True)] = key(
         "extruder_output", "its number, where outputs have numbers; further materials have those after it", 1
@@ -366,6 +373,10 @@ class ProgramSpec(Section):
         """By what factor tolerances may grow for the least time."""
         return 2.0 if self.widest_chord is None else self.widest_chord / self.chord
 
+    def mover(self, second_arm: bool) -> str:
+        """The mechanical unit that moves the part: a second arm, or a positioner."""
+        return self.station or (SECOND_ARM if second_arm else POSITIONER)
+
     @model_validator(mode="after")
     def _distinct(self) -> ProgramSpec:
         if self.widest_chord is not None and self.widest_chord < self.chord:
@@ -376,13 +387,13 @@ class ProgramSpec(Section):
             )
         seen: dict[str, str] = {}
         for field in ("tool", "work_object", "station", "extruder_signal", "demand_signal"):
-            name = getattr(self, field)
+            name = getattr(self, field) or POSITIONER
             first = seen.setdefault(name.lower(), field)  # RAPID does not tell capitals from small letters
             if first != field:
                 raise refusal(
                     f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]
                 )
-            if _OWN_NAMES.fullmatch(name):
+            if _OWN_NAMES.fullmatch(name) or (field != "station" and name.upper() in ARMS):
                 reason = f"{name!r} may be a name of the program's own, or of the controller's"
                 raise refusal(reason, f"for example my_{name}"[:LONGEST_NAME], fields=[field])
         return self

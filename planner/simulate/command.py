@@ -83,6 +83,7 @@ def simulate_command() -> Command:
         one.add_argument("--fault", action="append", default=[], metavar="KIND@LINE[:VALUE]", help="repeatable")
         if kind == "controller":
             one.add_argument("--program-port", type=_port, default=PROGRAM_PORT, help="of the program's socket")
+            one.add_argument("--arms", type=int, choices=(1, 2), default=1, help="2: a MultiMove system (default 1)")
             one.add_argument("--problem", metavar="YAML", help="of the cell: its joint limits count, too, then")
             one.add_argument("--rws", type=int, choices=(1, 2), default=1, help="version of Robot Web Services")
             one.add_argument("--certificate", type=Path, metavar="PEM", help="for https, with --key")
@@ -173,7 +174,9 @@ def _controller(options: argparse.Namespace) -> None:
     )
     loaded = {} if options.lenient else OTHER_PROGRAM
     with ExitStack() as stack:
-        controller = Controller((options.host, options.program_port), options.pace, faults, None, move, loaded)
+        controller = Controller(
+            (options.host, options.program_port), options.pace, faults, None, move, loaded, options.arms
+        )
         stack.enter_context(closing(controller))
         web_faults = faults_of(options.web_fault, RWS_FAULTS)
         rws = stack.enter_context(closing(RwsServer(options.host, options.port, controller, access, web_faults)))

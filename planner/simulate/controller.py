@@ -96,6 +96,7 @@ def own_clock(program: RobotProgram) -> OwnClock:
     turn = 2.0 * np.arccos(same)
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
     tip, reorient, _, rotate = program.speed[1:].T
+    rotate = rotate if program.second is None else program.second[2:, 1]  # of its flange, for no cell is known here
     # the first move goes to where the robot stands already
     lasts = np.concatenate([[0.0], np.maximum(np.maximum(step / tip, turn / reorient), axes / rotate)])
     after = np.cumsum(lasts + program.wait)
@@ -407,6 +408,7 @@ LARGEST_FILE = 64 << 20  # bytes
 MOST_FILES = 1000
 RESTART_TIME = 2.0  # wall s in which a controller that restarts answers nothing
 TASK = "T_ROB1"
+TASKS = (TASK, "T_ROB2")  # of a MultiMove system with two arms
 _PLAIN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 _HOME = re.compile(r"(?i)(?:\$home/|home/|home:/?)")
 _MODULE = re.compile(r"(?im)^\s*MODULE\s+([A-Za-z]\w{0,31})")
@@ -433,6 +435,7 @@ class Controller:
     read      modules (name → text) → what the program does while each tool is in use; raises InputError
     move      program → its motion; raises InputError for what cannot be reached
     loaded    modules (name → text) of the program that is loaded already
+    arms      that it moves, each in a task of its own
     """
 
     def __init__(
@@ -443,12 +446,15 @@ class Controller:
         read: Reader | None = None,
         move: Callable[[RobotProgram], ProgramMotion] = own_clock,
         loaded: Mapping[str, str] | None = None,
+        arms: int = 1,
     ) -> None:
         self._address, self._pace, self._faults = address, pace, tuple(faults)
         self._read, self._move = read or read_modules, move
         self._home = Path(tempfile.mkdtemp(prefix="beadwise-controller-"))
         self._lock = threading.RLock()
-        self._modules: dict[str, str] = dict(loaded or {})
+        self.tasks = TASKS[:arms]
+        self._tasks: dict[str, dict[str, str]] = {task: {} for task in self.tasks}
+        self._tasks[TASK] = dict(loaded or {})
         self._run: ProgramRun | None = None
         self._silent_until = 0.0
         self.motors, self.mode = "motoron", "AUTO"
@@ -471,7 +477,7 @@ class Controller:
             if self._run is not None and self._run.restarted.is_set():
                 self._end_run()
                 self._run = None
-                self._modules.clear()
+                self._tasks = {task: {} for task in self.tasks}
                 self._faults = ()
                 self.motors = "motoroff"
                 self._silent_until = time.monotonic() + RESTART_TIME
@@ -509,19 +515,19 @@ class Controller:
         """Names of all files."""
         return sorted(each.name for each in self._home.iterdir())
 
-    def load(self, path: str, replace: bool) -> None:
-        """Load a module into the task, in place of one of that name; the program pointer is lost."""
+    def load(self, path: str, replace: bool, task: str = TASK) -> None:
+        """Load a module into a task, in place of one of that name; the program pointer is lost."""
         with self._lock:
             self._stopped()
             name, text = self._module(path)
-            if name in self._modules and not replace:
+            if name in self._tasks[task] and not replace:
                 raise Denied(400, f"module {name} is loaded already")
             self._end_run()
             self._run = None
-            self._modules[name] = text
+            self._tasks[task][name] = text
 
-    def load_program(self, path: str, replace: bool) -> None:
-        """Load all modules that a .pgf in HOME names; with `replace`, in place of the whole program that is there."""
+    def load_program(self, path: str, replace: bool, task: str = TASK) -> None:
+        """Load all modules that a .pgf in HOME names; with `replace`, in place of the task's whole program that is there."""
         with self._lock:
             self._stopped()
             if not path.lower().endswith(".pgf"):
@@ -531,21 +537,21 @@ class Controller:
                 raise Denied(400, "the program file names no module")
             folder = path[: len(path) - len(path.rpartition("/")[2])]
             modules = dict(self._module(folder + each) for each in listed)
-            if not replace and (both := sorted(modules.keys() & self._modules.keys())):
+            if not replace and (both := sorted(modules.keys() & self._tasks[task].keys())):
                 raise Denied(400, f"module {both[0]} is loaded already")
             self._end_run()
             self._run = None
-            self._modules = modules if replace else {**self._modules, **modules}
+            self._tasks[task] = modules if replace else {**self._tasks[task], **modules}
 
-    def unload_program(self) -> None:
-        """Unload all modules of the program."""
+    def unload_program(self, task: str = TASK) -> None:
+        """Unload all modules of a task's program."""
         with self._lock:
             self._stopped()
-            if not self._modules:
+            if not self._tasks[task]:
                 raise Denied(400, "no program is loaded")
             self._end_run()
             self._run = None
-            self._modules = {}
+            self._tasks[task] = {}
 
     def _module(self, path: str) -> tuple[str, str]:
         """Name and text of a module in a file."""
@@ -558,32 +564,35 @@ class Controller:
             raise Denied(400, "no MODULE in the file")
         return match[1], text
 
-    def unload(self, name: str) -> None:
+    def unload(self, name: str, task: str = TASK) -> None:
         """Unload a module."""
         with self._lock:
             self._stopped()
-            if name not in self._modules:
+            if name not in self._tasks[task]:
                 raise Denied(404, "no such module")
             self._end_run()
             self._run = None
-            del self._modules[name]
+            del self._tasks[task][name]
 
-    def modules(self) -> list[str]:
-        """Names of the loaded modules."""
+    def modules(self, task: str = TASK) -> list[str]:
+        """Names of a task's loaded modules."""
         with self._lock:
-            return list(self._modules)
+            return list(self._tasks[task])
 
     def reset_pointer(self) -> None:
-        """Program pointer to main: what ran before is over, its sockets are closed."""
+        """Program pointers of all tasks to main: what ran before is over, its sockets are closed."""
         with self._lock:
             self._stopped()
-            if not self._modules:
+            modules: dict[str, str] = {}
+            for own in self._tasks.values():
+                mains = [name for name, text in own.items() if _MAIN.search(text)]
+                if len(mains) > 1:
+                    raise Denied(400, f"main is ambiguous: it is in {' and in '.join(mains)}")
+                modules |= own
+            if not modules:
                 raise Denied(400, "no program is loaded")
-            mains = [name for name, text in self._modules.items() if _MAIN.search(text)]
-            if len(mains) > 1:
-                raise Denied(400, f"main is ambiguous: it is in {' and in '.join(mains)}")
             try:
-                programs = self._read({**self._loaded_by(self._modules.values()), **self._modules})
+                programs = self._read({**self._loaded_by(modules.values()), **modules})
                 motion: ProgramMotion = MotionsInTurn(
                     tuple(map(self._move, programs)), tuple(len(each.position) for each in programs)
                 )

@@ -267,14 +267,15 @@ class _Desk:
                 {"_type": "rap-execution", "_title": "execution", "ctrlexecstate": running, "cycle": "once"}
             ],
             "/rw/rapid/tasks": lambda: [
-                {"_type": "rap-task-li", "_title": TASK, "name": TASK, "type": "normal", "taskstate": "linked"}
+                {"_type": "rap-task-li", "_title": task, "name": task, "type": "normal", "taskstate": "linked"}
                 | {"excstate": "started" if c.running else "ready", "active": "On", "motiontask": "TRUE"}
+                for task in c.tasks
             ],
             "/rw/panel/ctrl-state" if self.two else "/rw/panel/ctrlstate": lambda: [
                 {"_type": "pnl-ctrlstate", "_title": "ctrlstate", "ctrlstate": c.motors},
             ],
             "/rw/panel/opmode": lambda: [{"_type": "pnl-opmode", "_title": "opmode", "opmode": c.mode}],
-            self._modules_path(): lambda: self._modules(asked),
+            **self._module_lists(asked),
         }
         if not self.strict:
             for one, other in (("ctrlstate", "ctrl-state"), ("ctrl-state", "ctrlstate")):
@@ -283,13 +284,16 @@ class _Desk:
             raise Denied(404, "no such resource")
         return known[path]()
 
-    def _modules_path(self) -> str:
-        return f"/rw/rapid/tasks/{TASK}/modules" if self.two else "/rw/rapid/modules"
+    def _module_lists(self, asked: _Request) -> dict[str, Callable[[], list[dict[str, str]]]]:
+        if self.two:
+            return {f"/rw/rapid/tasks/{task}/modules": partial(self._modules, task) for task in self.controller.tasks}
+        task = asked.query.get("task", "" if self.strict else TASK)
+        return {"/rw/rapid/modules": partial(self._modules, task)}
 
-    def _modules(self, asked: _Request) -> list[dict[str, str]]:
-        if self.strict and not self.two and asked.query.get("task") != TASK:
+    def _modules(self, task: str) -> list[dict[str, str]]:
+        if task not in self.controller.tasks:
             raise Denied(400, "task is missing")
-        kinds = {"BASE": "SysMod", "user": "SysMod"} | dict.fromkeys(self.controller.modules(), "ProgMod")
+        kinds = {"BASE": "SysMod", "user": "SysMod"} | dict.fromkeys(self.controller.modules(task), "ProgMod")
         return [{"_type": "rap-module-info-li", "_title": n, "name": n, "type": kind} for n, kind in kinds.items()]
 
     def _file(self, asked: _Request) -> str:
@@ -328,17 +332,21 @@ class _Desk:
         if self.two == ("action" in asked.query):
             raise Denied(404 if self.two else 400, "actions are of the other version")
         deed = asked.path if self.two else f"{asked.path}/{asked.query['action']}"
-        c, task = self.controller, f"/rw/rapid/tasks/{TASK}"
+        c = self.controller
         load, unload = ("load", "unload") if self.two else ("loadprog", "unloadprog")
         deeds: dict[str, Callable[[], None]] = {
             "/rw/rapid/execution/resetpp": c.reset_pointer,
             "/rw/rapid/execution/start": partial(self._start, asked),
             "/rw/rapid/execution/stop": partial(self._stop, asked),
-            f"{task}/loadmod": partial(self._load_module, asked),
-            f"{task}/unloadmod": lambda: c.unload(_field(asked.form, "module")),
-            f"{task}/program/{load}": partial(self._load_program, asked),
-            f"{task}/program/{unload}": c.unload_program,
         }
+        for task in c.tasks:
+            place = f"/rw/rapid/tasks/{task}"
+            deeds |= {
+                f"{place}/loadmod": partial(self._load_module, asked, task),
+                f"{place}/unloadmod": partial(self._unload_module, asked, task),
+                f"{place}/program/{load}": partial(self._load_program, asked, task),
+                f"{place}/program/{unload}": partial(c.unload_program, task),
+            }
         for domain in ("edit", "motion") if self.two else ("cfg", "motion", "rapid"):
             for word in ("request", "release"):
                 deeds[f"/rw/mastership/{domain}/{word}"] = partial(self._mastership, asked, domain, word)
@@ -371,15 +379,18 @@ class _Desk:
             else:
                 del self._master[domain]
 
-    def _load_module(self, asked: _Request) -> None:
+    def _load_module(self, asked: _Request, task: str) -> None:
         path = self._path(asked, "modulepath", (".mod", ".modx", ".sys"))
-        self.controller.load(path, asked.form.get("replace", "false").lower() == "true")
+        self.controller.load(path, asked.form.get("replace", "false").lower() == "true", task)
 
-    def _load_program(self, asked: _Request) -> None:
+    def _unload_module(self, asked: _Request, task: str) -> None:
+        self.controller.unload(_field(asked.form, "module"), task)
+
+    def _load_program(self, asked: _Request, task: str) -> None:
         mode = asked.form.get("loadmode", "add")
         if mode not in ("add", "replace"):
             raise Denied(400, "loadmode is add or replace")
-        self.controller.load_program(self._path(asked, "progpath", (".pgf",)), mode == "replace")
+        self.controller.load_program(self._path(asked, "progpath", (".pgf",)), mode == "replace", task)
 
     def _path(self, asked: _Request, name: str, kinds: tuple[str, ...]) -> str:
         path = _field(asked.form, name)

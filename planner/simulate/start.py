@@ -72,12 +72,13 @@ def start(
     board_tool: int | None = None,
     read: Reader | None = None,
     cell: Cell | None = None,
+    arms: int = 1,
 ) -> Simulated:
     """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
 
     access: to the web services, else as on a new controller; in_use: another program is loaded.
     read: modules (name → text) → programs, in place of our own reader of RAPID; cell: whose limits the motion keeps,
-    where programmed speeds alone are not enough. board_tool: selected on the board from the start.
+    where programmed speeds alone are not enough. board_tool: selected on the board from the start. arms: of the controller.
     Raises InputError for what is no fault.
     """
     of_controller = faults_of(controller_faults, CONTROLLER_FAULTS)
@@ -86,7 +87,7 @@ def start(
     with bound_socket(host, 0) as free:
         program: tuple[str, int] = free.getsockname()
     move = own_clock if cell is None else partial(played_motion, cell=cell)
-    controller = Controller(program, pace, of_controller, read, move, OTHER_PROGRAM if in_use else None)
+    controller = Controller(program, pace, of_controller, read, move, OTHER_PROGRAM if in_use else None, arms)
     rws = RwsServer(host, 0, controller, access or Access(), of_rws)
     board = BoardServer(host, 0, pace, of_board, board_password, board_tool)
     return Simulated(rws.address, program, board.address, controller, (rws, board))

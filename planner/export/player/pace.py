@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from planner.base.arrays import Array, Flags, Indices
-from planner.export.fit import angle
+from planner.export.fit import angle, from_matrix
 from planner.export.player.controller import PostureKnots
 from planner.export.player.model import MotionModel
 from planner.export.player.played import PHASES, TIMES
@@ -41,7 +41,7 @@ def pace(program: RobotProgram, cell: Cell, knots: PostureKnots, model: MotionMo
     """When the robot passes every knot.
 
     On each way between knots the top speed is what the slowest of six allows: the programmed speed of the tip in the
-    work object, of reorientation there, of the station's axes, the speed limits of the joints, and the time that the
+    work object, of reorientation there, of the station's axes or of a second arm, the speed limits of the joints, and the time that the
     controller needs for planning a move. Speed changes with the greatest acceleration along the path that the limits of
     all joints and the model's jerk allow, from one programmed speed to the next within the zone of the target between.
     At `fine` targets the robot comes to rest. At others it turns within the zone, cut to half of the lines beside it, at
@@ -52,14 +52,15 @@ def pace(program: RobotProgram, cell: Cell, knots: PostureKnots, model: MotionMo
     external, turns = change[:, cell.besides], cell.limits.turns[list(cell.besides)]
     tip = np.linalg.norm(np.diff(knots.position, axis=0), axis=1)
     programmed = program.speed[knots.move]
+    axes = np.maximum(
+        external[:, turns].max(axis=1, initial=0.0) / programmed[:, 3],
+        external[:, ~turns].max(axis=1, initial=0.0) / programmed[:, 2],
+    )
     times = np.column_stack(
         [
             tip / programmed[:, 0],
             angle(knots.quat[1:], knots.quat[:-1]) / programmed[:, 1],
-            np.maximum(
-                external[:, turns].max(axis=1, initial=0.0) / programmed[:, 3],
-                external[:, ~turns].max(axis=1, initial=0.0) / programmed[:, 2],
-            ),
+            axes if program.second is None else _second_arm(program.second[1:][knots.move], cell, knots),
             change / cell.limits.velocity,
         ]
     )
@@ -83,8 +84,21 @@ def pace(program: RobotProgram, cell: Cell, knots: PostureKnots, model: MotionMo
     waits[knots.target] += program.wait  # targets are at different knots, even where they are at the same place
     leave = np.concatenate([[0.0], np.cumsum(took + waits[1:])])
     joints = (f"the speed limit of {name}" for name in cell.joint_names)
-    names = ("the tip", "reorientation", "an axis of the station", *joints, "the planning of moves")
+    station = "an axis of the station" if program.second is None else "the arm that moves the part"
+    names = ("the tip", "reorientation", station, *joints, "the planning of moves")
     return PlayedPace(leave, length, phases, limit, names, leave[knots.target] - program.wait)
+
+
+def _second_arm(speed: Array, cell: Cell, knots: PostureKnots) -> Array:
+    """Times (k - 1) [s] that the arm that moves the part takes at its own speeds (k - 1, 4): of its flange, in the world.
+
+    The slowest of two synchronised arms sets the pace of both (ABB, MultiMove: robot speeds).
+    """
+    flange = cell.flange_of_second_arm(np.ascontiguousarray(knots.q[:, len(cell.arm) :]))
+    way = np.linalg.norm(np.diff(flange[:, :3, 3], axis=0), axis=1)
+    quat = from_matrix(flange[:, :3, :3])
+    out: Array = np.maximum(way / speed[:, 0], angle(quat[1:], quat[:-1]) / speed[:, 1])
+    return out
 
 
 def _planned(took: Array, model: MotionModel) -> Array:

@@ -377,9 +377,7 @@ _PROCEDURES = r"""
         WaitRob\ZeroSpeed;
         ! the robot may have passed a trigger before it stood
 {outputs}
-        ClearPath;
-        StartMove;
-        EXIT;
+{over}
     ERROR
         ! nobody may be there to be told
         TRYNEXT;
@@ -392,14 +390,24 @@ def server_declarations() -> list[str]:
     return _DECLARATIONS.strip("\n").split("\n")
 
 
-def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str]) -> list[str]:
-    """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops."""
+_OVER = ("        ClearPath;", "        StartMove;", "        EXIT;")
+# ABB, RAPID reference, SystemStopAction and StopMove: all motion tasks stop, none goes on before its program pointer is moved,
+# and what StopMove holds is let go when the task starts from its beginning. EXIT would leave the other one waiting.
+_BOTH_OVER = ("        SystemStopAction\\StopBlock;",)
+
+
+def server(module: str, lines: int, address: str, port: int, outputs: Iterable[str], alone: bool = True) -> list[str]:
+    """Procedures of the server of a program that sends so many lines; `outputs` are switched off where it stops.
+
+    alone: no other task moves in step with this one.
+    """
     values = {
         "module": module,
         "lines": lines,
         "address": address,
         "port": port,
         "outputs": "\n".join(f"        SetDO {name},0;" for name in outputs),
+        "over": "\n".join(_OVER if alone else _BOTH_OVER),
         "window": WINDOW,
         "patience": PATIENCE,
         "joining": JOINING,

@@ -12,14 +12,17 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.export.board import selected_tool
-from planner.export.external import external_written
+from planner.export.external import external_written, moving_unit, task_axes
 from planner.export.extruder import AMOUNT, filament_differences, orders
 from planner.export.moves import fed_spans
 from planner.export.program import RobotProgram
+from planner.export.rapid.declarations import speed_numbers
 from planner.export.rapid.extruder import COLUMNS, PERCENT, first_lines, flow
-from planner.export.rapid.reader import SPEED_UNITS, read_rapid_files, read_rapid_stretches
+from planner.export.rapid.modules import SPEED_UNITS
+from planner.export.rapid.multimove import second_joints, second_speeds
+from planner.export.rapid.reader import read_rapid_files, read_rapid_stretches
 from planner.export.rapid.text import module_name
-from planner.export.rapid.writer import quadrants, rapid_moves, speed_numbers
+from planner.export.rapid.writer import quadrants, rapid_moves
 from planner.export.rapid.writer import rapid_files as write
 from planner.export.readback import readback
 
@@ -34,6 +37,7 @@ LONGER = (
 )
 SPEED_ROUNDING = 1e-5  # of a speed: numbers of speeds have six digits
 SAME_ORIENTATION = 1e-6  # 1 - |cosine| of half the angle: 0.16 deg; numbers of quaternions have seven decimals
+SECOND_ROUNDING = 1e-5  # deg; joints of a second arm have five decimals
 AXIS_ROUNDING = 1e-5  # rad, or what is written in mm as if it were degrees: numbers of axes have four decimals
 ROUNDING = 2e-6  # m; a trigger nearer to a move's end, or start, stands there
 _EXTRUDES = re.compile(r"G1 E(-?\d+\.\d+) F(\d+\.\d+)", re.ASCII)
@@ -57,6 +61,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     found = []
     for part, program in zip(parts, each, strict=True):
         found += [*readback(part, program), *posture_and_speed_differences(part, program)]
+        found += station_differences(part, program)
     program = each[0]
     if plan.problem.program.style == "socket":
         found += line_differences(plan, program, files[f"{module_name(plan.name)}_lines.csv"])
@@ -87,7 +92,7 @@ def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str
         said = program.arc_postures[1:][arcs]
         q, branch = moves.q[1:][arcs][:, plan.cell.own], plan.trajectory.branch[moves.sample[arcs]]
         conf = np.column_stack([quadrants(q), branch])
-        axes = np.radians(external_written(plan.cell, moves.via.station[arcs]))
+        axes = np.radians(external_written(plan.cell, moves.via.station[arcs]))[:, : len(task_axes(plan.cell))]
         wrong = (said[:, 4:8] != conf).any(axis=1)
         wrong |= 1.0 - np.abs((said[:, :4] * moves.via.quat[arcs]).sum(axis=1)) > SAME_ORIENTATION
         wrong |= (np.abs(said[:, 8 : 8 + axes.shape[1]] - axes) > AXIS_ROUNDING).any(axis=1)
@@ -98,6 +103,33 @@ def posture_and_speed_differences(plan: Plan, program: RobotProgram) -> list[str
                 f"{np.count_nonzero(wrong)} points on arcs' ways have another orientation, configuration or axes than"
                 f" planned, first move {first}"
             )
+    return found
+
+
+def station_differences(plan: Plan, program: RobotProgram) -> list[str]:
+    """Whether the part is moved by the planned mechanical unit, and a second arm by the planned joints and speeds."""
+    unit = moving_unit(plan)
+    found = [] if program.station == unit else [f"the part is moved by {program.station or 'nothing'}, not by {unit}"]
+    if program.second is None or plan.cell.second_arm is None:
+        both = (program.second is None) == (plan.cell.second_arm is None)
+        return (
+            found
+            if both
+            else [*found, "one arm moves, not two" if program.second is None else "two arms move, not one"]
+        )
+    moves = rapid_moves(plan)
+    joints, speeds = second_joints(plan, moves.targets.station), second_speeds(plan, moves) * SPEED_UNITS
+    if len(program.second) != len(speeds) + 1:
+        return found  # which is told of the nozzle's moves
+    off = np.abs(np.degrees(program.external) - joints).max(axis=1) > SECOND_ROUNDING
+    if off.any():
+        found.append(
+            f"the arm that moves the part goes elsewhere in {np.count_nonzero(off)} moves, first move {np.argmax(off)}"
+        )
+    planned = np.vstack([speeds[:1], speeds])
+    wrong = (np.abs(program.second - planned) > SPEED_ROUNDING * planned).any(axis=1)
+    if wrong.any():
+        found.append(f"speeds of the arm that moves the part are not the planned ones {np.count_nonzero(wrong)} times")
     return found
 
 

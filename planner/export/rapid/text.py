@@ -1,17 +1,14 @@
-"""Names, comments and modules of RAPID."""
+"""Names, comments, procedures and modules of RAPID."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from planner.export.text import ascii_comment
-
-if TYPE_CHECKING:
-    from planner.export.rapid.writer import Procedure
-
 
 # ----------------------------------------------------------------------------------------------------
 # Names and comments.
@@ -56,6 +53,57 @@ def comment(text: str, indent: int = 4) -> str:
 def written_notes(text: str) -> tuple[str, ...]:
     """The notes in the header of a main module, in words."""
     return tuple(f"{words}; {where}" for words, where in _NOTE.findall(text))
+
+
+# ----------------------------------------------------------------------------------------------------
+# Procedures with moves.
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """A procedure without parameters.
+
+    about  comments before all else
+    steps  statements of each move: what it is, and what is done when it has ended
+    rests  the robot is at rest when it ends
+    """
+
+    name: str
+    about: tuple[str, ...]
+    steps: tuple[tuple[str, ...], ...]
+    rests: bool
+
+    @property
+    def text(self) -> list[str]:
+        """Its lines, and an empty one."""
+        inner = [statement for step in self.steps for statement in step]
+        return [f"    PROC {self.name}()", *self.about, *inner, "    ENDPROC", ""]
+
+    def resting(self) -> Procedure:
+        """The same, with the robot at rest when it ends."""
+        if self.rests:
+            return self
+        move, *rest = self.steps[-1]
+        for zone in ZONES:
+            move = move.replace(f",{zone},", ",fine,")
+        return replace(self, steps=(*self.steps[:-1], (move, *rest)), rests=True)
+
+    def parts(self, most: int) -> list[Procedure]:
+        """The same motion in procedures of at most so many moves, to be called one after the other without a stop."""
+        count = -(-len(self.steps) // most)
+        if count <= 1:
+            return [self]
+        bounds = np.linspace(0, len(self.steps), count + 1).astype(int).tolist()
+        return [
+            replace(
+                self,
+                name=f"{self.name}Part{k + 1}",
+                about=self.about if k == 0 else (comment(f"{self.name}, part {k + 1} of {count}", 8),),
+                steps=self.steps[a:b],
+                rests=self.rests and k == count - 1,
+            )
+            for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True))
+        ]
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,14 +14,25 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Indices
 from planner.base.gcode_lines import time_of
 from planner.export.controllers import CONTROLLERS
-from planner.export.external import carrying_axes, external_axes, external_written
-from planner.export.fit import continuous, from_matrix
+from planner.export.external import external_written, moving_unit, task_axes
+from planner.export.fit import continuous
 from planner.export.forecast import judged
 from planner.export.in_step import laid_filament
 from planner.export.moves import Moves, Wait, corner_tolerance, corners, fit_of, plan_moves, sections
 from planner.export.player.play import limited, play
 from planner.export.primitives import Poses
-from planner.export.program import RobotProgram, about
+from planner.export.program import RobotProgram
+from planner.export.rapid.declarations import (
+    external_text,
+    extruders,
+    frames,
+    header,
+    joints_text,
+    speed_numbers,
+    speeds,
+    tool_of,
+    zone_declarations,
+)
 from planner.export.rapid.extruder import (
     END,
     HEATS,
@@ -38,13 +49,24 @@ from planner.export.rapid.extruder import (
     server_declarations,
     table,
 )
+from planner.export.rapid.multimove import (
+    DECLARED,
+    OFF,
+    ON,
+    UNDO,
+    WAIT,
+    identity,
+    second_module,
+    second_modules,
+    together,
+)
 from planner.export.rapid.reader import read_rapid_stretches
 from planner.export.rapid.text import (
     LONGEST_STRING,
     NOT_LOADED,
     NOTE,
-    OWN_ZONES,
     ZONES,
+    Procedure,
     batches_of,
     comment,
     module_name,
@@ -53,8 +75,7 @@ from planner.export.rapid.text import (
 )
 from planner.export.support import by_bead, unsupported_in_rapid
 from planner.export.text import number, require_writable
-from planner.plan import RAPID_EXTERNAL_AXES, TRAVEL
-from planner.plan.plan import materials_of
+from planner.plan import TRAVEL
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -62,22 +83,10 @@ if TYPE_CHECKING:
 # ----------------------------------------------------------------------------------------------------
 # Robtargets: poses, configurations and external axes.
 
-UNUSED = "9E9"
-
 
 def quadrants(q: Array) -> NDArray[np.intp]:
     """cf1, cf4, cf6 (m, 3): the quarter turns of joints 1, 4 and 6 of postures of the arm's own joints (m, >= 6) [rad]."""
     return np.floor(np.round(np.degrees(q[:, [0, 3, 5]]) / 90.0, 9)).astype(np.intp)
-
-
-def external_text(degrees: Array) -> list[str]:
-    """`eax_a,..,eax_f` of each row, in degrees or mm."""
-    unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - degrees.shape[1]))
-    if not degrees.shape[1]:
-        return [unused] * len(degrees)
-    degrees = np.round(degrees, 4) + 0.0  # turns minus nought into nought
-    pattern = ",".join(["%.4f"] * degrees.shape[1]) + ("," + unused if unused else "")
-    return [pattern % tuple(row) for row in degrees.tolist()]
 
 
 def targets(plan: Plan, moves: Moves) -> list[str]:
@@ -101,123 +110,14 @@ def _robtargets(plan: Plan, poses: Poses, q: Array, sample: Indices) -> list[str
             plan.trajectory.branch[sample],
         ]
     )
-    external = external_text(external_written(plan.cell, poses.station))
+    external = external_text(_own_axes(plan, poses.station))
     pattern = "[[%.3f,%.3f,%.3f],[%.7f,%.7f,%.7f,%.7f],[%d,%d,%d,%d],[%s]]"
     return [pattern % (*row, ext) for row, ext in zip(numbers.tolist(), external, strict=True)]
 
 
-# ----------------------------------------------------------------------------------------------------
-# Declarations: header, tool and work object, speeds.
-
-HEAD_ROOM = 1.5  # of reorientation and axis speeds over what the plan needs, so that the tip's speed alone governs
-SECOND_ARM = (
-    "NOTE: what holds the part is an arm. A controller runs two arms as two tasks (MultiMove), not as external axes:",
-    "this program says what both arms do, but runs only where the second one is set up as a mechanical unit of this",
-    "task, as in a simulation. On two real arms, start from trajectory.csv.",
-)
-TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
-
-
-def header(plan: Plan) -> list[str]:
-    """Comments at the head of the main module: the plan, its checks and its materials."""
-    texts = about(plan)
-    for each in materials_of(plan.problem):
-        texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
-    return [comment(text) for text in texts]
-
-
-def pose_text(T: Array) -> str:
-    """A pose (4, 4) as RAPID has it: mm, quaternion w first."""
-    p = ",".join(number(v, 3) for v in T[:3, 3] * 1e3)
-    x, y, z, w = from_matrix(T[None, :3, :3])[0]
-    return f"[[{p}],[{','.join(number(v, 7) for v in (w, x, y, z))}]]"
-
-
-def frames(plan: Plan) -> list[str]:
-    """Tool and work object, and what the controller's own configuration must say for them to be right."""
-    names, cell = plan.problem.program, plan.cell
-    lines = [
-        comment("The load below is a placeholder: identify it on the robot before the first run."),
-        *(f"    PERS tooldata {name}:=[TRUE,{pose_text(T)},{TOOL_LOAD}];" for name, T in _tools(plan)),
-        comment("Poses in the world that the controller's configuration must have. The robot's base:"),
-        comment("  " + pose_text(cell.T_world_base)),
-    ]
-    identity, on_plate = pose_text(np.eye(4)), pose_text(cell.T_plate_part)
-    letters = [f"eax_{letter} {axis.words}" for letter, axis in zip("abcdef", external_axes(cell), strict=False)]
-    if before := letters[: len(carrying_axes(cell))]:
-        lines[-2] = comment("Poses in the world that the controller's configuration must have. The base of the track,")
-        lines[-1:] = [
-            comment("a mechanical unit that carries the robot and is active:"),
-            comment("  " + pose_text(cell.T_world_base)),
-            comment(f"Its axes: {', '.join(before)}."),
-        ]
-    if cell.station is None:
-        frames = f'TRUE,"",{pose_text(cell.T_world_holder)},{identity}'
-    else:
-        axes = letters[len(before) :]
-        lines += [
-            comment(f"The base of station {names.station}:"),
-            comment("  " + pose_text(cell.T_world_holder_base)),
-            comment(f"Its axes: {', '.join(axes[:3])}."),
-            *([comment(f"  {', '.join(axes[3:])}.")] if len(axes) > 3 else []),
-            comment("Its user frame comes from the system parameters; the part frame stands in it, on the plate."),
-        ]
-        if cell.station.inverse is not None:
-            lines += [comment(text) for text in SECOND_ARM]
-        # ABB, RAPID reference, wobjdata: with ufprog FALSE the system parameters define the user frame
-        frames = f'FALSE,"{names.station}",{identity},{on_plate}'
-    return [*lines, f"    PERS wobjdata {names.work_object}:=[FALSE,{frames}];"]
-
-
-def _tools(plan: Plan) -> list[tuple[str, Array]]:
-    """Names and poses on the flange (4, 4) of all tools."""
-    cell = plan.cell
-    return [(each.name, each.T_flange_nozzle) for each in cell.nozzles] or [(tool_of(plan), cell.T_flange_nozzle)]
-
-
-def tool_of(plan: Plan) -> str:
-    """The name of the tool data of the nozzle in use."""
-    return plan.cell.nozzle_name or plan.problem.program.tool
-
-
-def speed_numbers(plan: Plan, moves: Moves) -> Array:
-    """Speeds (m + 1, 4) of the way to the start and of every move, as a speeddata has them: tip [mm/s], reorientation
-    [deg/s], axes that slide [mm/s] and that turn [deg/s]."""
-    top = plan.problem.process.travel_speed * 1e3
-    tip = np.where(moves.laid, np.round(moves.speed * 1e3, 3), np.clip(np.ceil(moves.speed * 1e3), 1.0, top))
-    turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
-    turn_max = _rounded_up(HEAD_ROOM * float(turn.max()), 10.0)
-    axis_max = _rounded_up(HEAD_ROOM * float(axis.max(initial=0.0)), 10.0)
-    slide_max = max(1000.0, 100.0 * float(np.ceil(HEAD_ROOM * float(slide.max(initial=0.0)) / 100.0)))
-    # where the tip hardly moves it cannot set the pace: there the turning does, at its real rate
-    slow = (moves.speed < 1e-3) & (np.maximum(turn, axis) > 1.0)
-    own_turn = np.where(slow, np.maximum(1.0, np.ceil(turn)), turn_max)
-    own_axis = np.where(slow, np.maximum(1.0, np.ceil(axis)), axis_max)
-    rows = np.column_stack([tip, own_turn, np.full(len(tip), slide_max), own_axis])
-    return np.vstack([[top, turn_max, slide_max, axis_max], rows])
-
-
-def speeds(numbers: Array) -> tuple[list[str], list[str]]:
-    """Declarations of `speed_numbers` (k, 4), and the name of each; the first one is for the way to the start."""
-    keys = [tuple(row) for row in numbers.tolist()]
-    usual = keys[0][1:]
-    table = {}
-    for key in sorted(set(keys)):
-        own = "" if key[1:] == usual else f"o{key[1]:.0f}a{key[3]:.0f}"
-        own += "" if key[2] == usual[1] else f"s{key[2]:.0f}"
-        table[key] = f"vel{key[0]:g}".replace(".", "_") + own
-    lines = [f"    CONST speeddata {name}:=[{v:g},{o:g},{s:g},{a:g}];" for (v, o, s, a), name in table.items()]
-    return lines, [table[key] for key in keys]
-
-
-def _rounded_up(value: float, step: float) -> float:
-    return max(100.0, step * float(np.ceil(value / step)))
-
-
-def extruders(plan: Plan) -> dict[str, str]:
-    """The digital output of each extruder, by what its triggers end with: nothing for the first, then 2, 3, …"""
-    outputs = [each.signal for each in materials_of(plan.problem)] or [plan.problem.program.extruder_signal]
-    return {str(k) if k > 1 else "": signal for k, signal in enumerate(outputs, 1)}
+def _own_axes(plan: Plan, station: Array) -> Array:
+    """The external axes (m, k) [deg, mm] that this task moves, from all those beside the arm that move (m, f)."""
+    return external_written(plan.cell, station)[:, : len(task_axes(plan.cell))]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -290,53 +190,6 @@ def _asking(moves: Moves, demand: FlowDemand) -> dict[int, list[tuple[int, bool]
 # Procedures: the start, one for each bead with the way to it, and the way home.
 
 
-@dataclass(frozen=True)
-class Procedure:
-    """A procedure without parameters.
-
-    about  comments before all else
-    steps  statements of each move: what it is, and what is done when it has ended
-    rests  the robot is at rest when it ends
-    """
-
-    name: str
-    about: tuple[str, ...]
-    steps: tuple[tuple[str, ...], ...]
-    rests: bool
-
-    @property
-    def text(self) -> list[str]:
-        """Its lines, and an empty one."""
-        inner = [statement for step in self.steps for statement in step]
-        return [f"    PROC {self.name}()", *self.about, *inner, "    ENDPROC", ""]
-
-    def resting(self) -> Procedure:
-        """The same, with the robot at rest when it ends."""
-        if self.rests:
-            return self
-        move, *rest = self.steps[-1]
-        for zone in ZONES:
-            move = move.replace(f",{zone},", ",fine,")
-        return replace(self, steps=(*self.steps[:-1], (move, *rest)), rests=True)
-
-    def parts(self, most: int) -> list[Procedure]:
-        """The same motion in procedures of at most so many moves, to be called one after the other without a stop."""
-        count = -(-len(self.steps) // most)
-        if count <= 1:
-            return [self]
-        bounds = np.linspace(0, len(self.steps), count + 1).astype(int).tolist()
-        return [
-            replace(
-                self,
-                name=f"{self.name}Part{k + 1}",
-                about=self.about if k == 0 else (comment(f"{self.name}, part {k + 1} of {count}", 8),),
-                steps=self.steps[a:b],
-                rests=self.rests and k == count - 1,
-            )
-            for k, (a, b) in enumerate(zip(bounds[:-1], bounds[1:], strict=True))
-        ]
-
-
 def procedures_of(
     plan: Plan,
     moves: Moves,
@@ -350,10 +203,10 @@ def procedures_of(
 
     change: how many tools have been changed before; last: no tool is changed behind it
     """
-    places, frames = targets(plan, moves), _frames_of(plan)
-    sent = _numbered(lines)
+    places, frames = targets(plan, moves), f"{tool_of(plan)}\\WObj:={plan.problem.program.work_object};"
+    sent, alone = _numbered(lines), plan.cell.second_arm is None
     about = "The planned start as a target: the robot must not move here, if tool and work object are right."
-    start = f"        MoveJ {places[0]},{speeds[0]},fine,{frames}"
+    start = f"        MoveJ {places[0]}{'' if alone else identity(-1)},{speeds[0]},fine,{frames}"
     there = _resting(moves.waits.get(-1, ()), sent.get(-1, ()))
     found = [Procedure("Start", (comment(about, 8),), ((start, *there),), True)]
     if change:
@@ -367,27 +220,26 @@ def procedures_of(
         word = ("Trigg" if own else "Move") + ("C" if circular[i] else "L" if linear[i] or own else "J")
         via = f"{vias[i]}," if circular[i] else ""
         what = "".join(f"\\T{k}:={name}" if k > 1 else f",{name}" for k, name in enumerate(own, 1))
-        move = f"        {word} {via}{places[i + 1]},{speeds[i + 1]}{what},{zones[i]},{frames}"
+        place = places[i + 1] + ("" if alone else identity(i))
+        move = f"        {word} {via}{place},{speeds[i + 1]}{what},{zones[i]},{frames}"
         return (move, *_resting(moves.waits.get(i, ()), sent.get(i, ())))
 
     for section in sections(plan, moves):
         home = "Finish" if last else f"Home{change + 1}"
         name = f"Bead{section.number:04d}" if section.number else home
-        own = (comment(section.about, 8),) if section.about else ()
-        found.append(Procedure(name, own, tuple(map(step, section.moves)), fine[section.moves[-1]]))
+        words = (comment(section.about, 8),) if section.about else ()
+        found.append(Procedure(name, words, tuple(map(step, section.moves)), fine[section.moves[-1]]))
     return found
-
-
-def _frames_of(plan: Plan) -> str:
-    return f"{tool_of(plan)}\\WObj:={plan.problem.program.work_object};"
 
 
 def _absolute(plan: Plan, speed: str) -> str:
     """The move to the joints of the start."""
     cell, start = plan.cell, plan.trajectory.q[:1]
-    joints = ",".join(number(v, 5) for v in np.degrees(start[0, cell.own]))
-    external = external_text(external_written(cell, start[:, cell.besides]))[0]
-    return f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{_frames_of(plan)}"
+    joints = joints_text(np.degrees(start[:, cell.own]))[0]
+    external = external_text(_own_axes(plan, start[:, cell.besides]))[0]
+    # a work object that another task moves is for moves in step with it
+    frames = tool_of(plan) + ("" if cell.second_arm is not None else f"\\WObj:={plan.problem.program.work_object}")
+    return f"        MoveAbsJ [[{joints}],[{external}]],{speed},fine,{frames};"
 
 
 def zones_of(plan: Plan, moves: Moves) -> list[str]:
@@ -541,10 +393,9 @@ def note_lines(notes: tuple[ProgramNote, ...], files: Mapping[str, str]) -> list
 # the loader must hold at once, and a loop over them puts logic between fly-by points.
 
 
-def pgf(plan: Plan) -> str:
-    """Program file that names the module; load this one on the controller."""
-    module = f"\t<Module>{module_name(plan.name)}.mod</Module>\n"
-    return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n{module}</Program>\n'
+def pgf(module: str) -> str:
+    """Program file that names a module; load this one on the controller."""
+    return f'<?xml version="1.0" encoding="ISO-8859-1" ?>\n<Program>\n\t<Module>{module}.mod</Module>\n</Program>\n'
 
 
 def rapid(plan: Plan) -> str:
@@ -562,81 +413,83 @@ def rapid_moves(plan: Plan) -> Moves:
 def rapid_files(plan: Plan) -> dict[str, str]:
     """All files of the program of a verified plan, by name: ASCII, mm, degrees, targets in the part frame.
 
-    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`.
+    They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`; where
+    a second arm moves the part, its own modules and program file besides, see `multimove`.
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
     InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
     require_writable(plan, unsupported_in_rapid(plan))
     name, spec, parts = module_name(plan.name), plan.problem.program, plan.stretches
     all_moves = [rapid_moves(part) for part in parts]
-    sends = spec.style == "socket"
-    lines = lines_of(plan, all_moves[0]) if sends else ()
-    demand = demand_of(plan, all_moves[0]) if spec.style == "demand" else None
-    triggers = [triggers_of(part, moves, demand) for part, moves in zip(parts, all_moves, strict=True)]
-    numbers = [speed_numbers(part, moves) for part, moves in zip(parts, all_moves, strict=True)]
-    declared, all_names = speeds(np.concatenate(numbers))
-    speed_names = [
-        list(itertools.islice(names, len(own))) for names, own in zip(itertools.repeat(iter(all_names)), numbers)
-    ]
-    start, *others = itertools.chain.from_iterable(
-        procedures_of(part, moves, own_speeds, own.of, lines, change, part is parts[-1])
-        for change, (part, moves, own_speeds, own) in enumerate(
-            zip(parts, all_moves, speed_names, triggers, strict=True)
+    moves = all_moves[0]
+    sends, both = spec.style == "socket", plan.cell.second_arm is not None
+    lines = lines_of(plan, moves) if sends else ()
+    demand = demand_of(plan, moves) if spec.style == "demand" else None
+    triggers = [triggers_of(part, each, demand) for part, each in zip(parts, all_moves, strict=True)]
+    numbers = [speed_numbers(part, each) for part, each in zip(parts, all_moves, strict=True)]
+    declared, speed_names = speeds(np.concatenate(numbers))
+    of_each = iter(speed_names)
+    start, *others = [
+        procedure
+        for k, (part, each) in enumerate(zip(parts, all_moves, strict=True))
+        for procedure in procedures_of(
+            part, each, list(islice(of_each, len(numbers[k]))), triggers[k].of, lines, k, part is parts[-1]
         )
-    )
-    count = sum(map(len, all_moves))
-    batches = batches_of(name, others, spec.module_moves) if count > spec.module_moves else ()
+    ]
+    batches = batches_of(name, others, spec.module_moves) if sum(map(len, all_moves)) > spec.module_moves else ()
     here = [start, *(others if not batches else [])]
     calls = [f"        {procedure.name};" for procedure in here] + [s for batch in batches for s in running(batch)]
-    top = [f"MODULE {name}", *header(plan), *_sizes(plan, all_moves)]
+    told = [comment(text) for text in together(plan)] if both else []
+    top = [f"MODULE {name}", *header(plan), *told, *_sizes(plan, all_moves)]
     rest = [
         "",
         *frames(plan),
+        *(DECLARED if both else []),
         "",
         *declared,
-        *_zone_declarations([start, *others]),
+        *zone_declarations([start, *others]),
         "",
         *(f"    VAR triggdata {trigger};" for trigger in triggers[0].names),
         *(server_declarations() if sends else []),
         "",
-        *_main(plan, unloading(batches), calls, all_names[0], triggers[0].settings),
+        *_main(plan, unloading(batches), calls, speed_names[0], triggers[0].settings),
         *(NOT_LOADED if batches else []),
+        *(UNDO if both else []),
         "    ENDPROC",
         "",
         *(line for procedure in here for line in procedure.text),
-        *(server(name, len(lines), spec.socket.address, spec.socket.port, extruders(plan).values()) if sends else []),
+        *(served(plan, len(lines)) if sends else []),
         "ENDMODULE",
         "",
     ]
     modules = {f"{name}.mod": "\n".join(top + rest)}
     modules |= {f"{module.name}.mod": module.text for batch in batches for module in batch}
-    if notes := all_notes(parts, all_moves, read_rapid_stretches(modules)):
+    second = second_modules(plan, moves, [start, *others], zones_of(plan, moves)) if both else {}
+    if notes := all_notes(parts, all_moves, read_rapid_stretches({**modules, **second})):
         modules[f"{name}.mod"] = "\n".join(top + note_lines(notes, modules) + rest)
-    return {**modules, f"{name}.pgf": pgf(plan)} | ({f"{name}_lines.csv": table(lines)} if lines else {})
+    programs = {f"{each}.pgf": pgf(each) for each in (name, *([second_module(plan)] if both else []))}
+    return {**modules, **second, **programs} | ({f"{name}_lines.csv": table(lines)} if lines else {})
 
 
-def _zone_declarations(procedures: Sequence[Procedure]) -> list[str]:
-    """Declarations of the zones that are our own, and used."""
-    text = [step[0] for procedure in procedures for step in procedure.steps]
-    used = [name for name in OWN_ZONES if any(f",{name}," in move for move in text)]
-    return [f"    CONST zonedata {name}:={OWN_ZONES[name]};" for name in used]
+def served(plan: Plan, lines: int) -> list[str]:
+    """The procedures that serve the socket of a program that sends so many lines."""
+    socket, outputs = plan.problem.program.socket, extruders(plan).values()
+    alone = plan.cell.second_arm is None
+    return server(module_name(plan.name), lines, socket.address, socket.port, outputs, alone)
 
 
 def _sizes(plan: Plan, all_moves: Sequence[Moves]) -> list[str]:
     """How many moves there are, beside the waypoints that they stand for."""
     waypoints = sum(len(bead.points) for bead in plan.beads)
-    laid = sum(int(np.count_nonzero(moves.laid)) for moves in all_moves)
-    return [
-        comment(
-            f"{sum(map(len, all_moves)) + len(all_moves)} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints"
-        )
-    ]
+    count, laid = (sum(len(each) + 1 for each in all_moves), sum(int(each.laid.sum()) for each in all_moves))
+    return [comment(f"{count} moves, {laid} of them along beads, whose toolpath has {waypoints} waypoints")]
 
 
 def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers: Sequence[str]) -> list[str]:
     """The procedure main, without its end."""
     names, cell = plan.problem.program, plan.cell
-    station = [] if cell.station is None else [names.station]
+    both = cell.second_arm is not None
+    station = [] if cell.station is None or both else [moving_unit(plan)]
     sends = names.style == "socket"
     title = f"{module_name(plan.name)}: {len(plan.beads)} beads"[:LONGEST_STRING]
     off = [f"        SetDO {signal},0;" for signal in extruders(plan).values()]
@@ -652,10 +505,13 @@ def _main(plan: Plan, cleared: list[str], calls: list[str], speed: str, triggers
         "        CirPathMode\\ObjectFrame;",
         *off,
         *(f"        {setting}" for setting in triggers),
+        *([WAIT] if both else []),
         _absolute(plan.stretches[0], speed),
+        *([ON] if both else []),
         *([f"        {OPEN};"] if sends else []),
         *calls,
         *([f"        {END};"] if sends else []),
+        *([OFF] if both else []),
         *off,
         *(f"        DeactUnit {name};" for name in station),
         '        TPWrite "Finished";',
