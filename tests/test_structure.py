@@ -44,7 +44,7 @@ HEAVY = {
     "jinja2": {"report.templates"},
     "matplotlib": {"report", "place.command", "register.telling", "feedback.learn_telling", "feedback.scan_telling"},
     "plotly": set(),
-    "tornado": {"view.server"},
+    "tornado": {"base.web.server", "view.server"},
     "distributed": {"base.distribution"},
     "requests": {"link"},
     "websocket": {"link"},

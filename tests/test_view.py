@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+import webbrowser
 from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
@@ -22,12 +23,14 @@ from solved import line_of, write_small
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest, HTTPResponse
 
 from planner.base.errors import InputError
-from planner.view import command, server, solver
+from planner.base.web import server
+from planner.base.web.door import CODE_TIME, MOST_SESSIONS, Door
+from planner.base.web.server import LARGEST_ORDER, News, Server
+from planner.view import command, solver
 from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
-from planner.view.door import CODE_TIME, MOST_SESSIONS, Door
 from planner.view.machine import Again, Beside, Choose, Drafts, View
-from planner.view.server import LARGEST_ORDER, News, Server, order_of
+from planner.view.server import order_of, view_site
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = {
@@ -321,7 +324,7 @@ def test_the_place_alone_lets_nobody_in(fake: Path) -> None:
     """Whoever knows the page's address has not been let in by it; the cookie is of one view, and for its own page only."""
 
     async def scenario(page: Page) -> None:
-        for cookie in ("", "beadwise-view=", "beadwise-view=" + "x" * 43, page.cookie + "x", page.cookie.upper()):
+        for cookie in ("", "beadwise=", "beadwise=" + "x" * 43, page.cookie + "x", page.cookie.upper()):
             for path in ("", "events", "page.js", "report/1-whole"):
                 assert (await page.get(path, headers={"Cookie": cookie})).code == 403
             assert await page.do({"do": "again"}, Cookie=cookie) == 403
@@ -370,7 +373,7 @@ def test_the_browser_is_started_with_a_code_only(
 ) -> None:
     """Arguments of a program can be read by all users of a computer."""
     opened: list[str] = []
-    monkeypatch.setattr(command.webbrowser, "open", opened.append)
+    monkeypatch.setattr(webbrowser, "open", opened.append)
 
     async def scenario(page: Page) -> None:
         command._ready(Subject(fake, "small"), True, page.server)
@@ -419,8 +422,8 @@ def test_who_listens_and_does_not_read_is_left(fake: Path, monkeypatch: pytest.M
     monkeypatch.setattr(server, "IDLE_TIME", 0.3)
 
     async def scenario() -> None:
-        news, where = News(), server.listen(0)
-        there = Server(where, news, lambda key: None, lambda event: None)
+        news, where = News(), server.listen(0, "--port")
+        there = Server(where, view_site(news, lambda key: None, lambda event: None))
         news.tell("x" * 30_000_000)
         url, cookie = await asyncio.to_thread(_entered, there.address)
         parts = urlsplit(url)
