@@ -34,7 +34,7 @@ HEAVY = {
     "svgelements": {"toolpath", "verify.reread"},
     "ezdxf": {"toolpath.dxf.reader", "verify.reread"},
     "OCP": {"problem.cad_facets", "toolpath.step.reader", "toolpath.step.shapes", "verify.reread.step_process"},
-    "trimesh": {"problem.mesh_files", "export.tables", "report.picture", "feedback.scan_cloud"},
+    "trimesh": {"problem.mesh_files", "export.tables", "report.picture", "problem.clouds"},
     "pyvrp": {"toolpath.coverage.tours"},
     "pydantic": {"problem", "view.content"},
     "ruamel": {"problem"},
