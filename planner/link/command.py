@@ -32,6 +32,7 @@ from planner.link.connections import (
 from planner.link.ftp import HOME as FTP_HOME
 from planner.link.ftp import PORT as FTP_PORT
 from planner.link.ftp import Ftp
+from planner.link.logged import outcome_of
 from planner.link.messages import stop as stop_words
 from planner.link.orders import listen_at_terminal
 from planner.link.program_lines import ProgramLines, lines_file, read_program_lines
@@ -84,6 +85,11 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     written = [*(name for name in files if (folder / name).is_file()), lines_file(options.program).name]
     program_as_written(folder, written, options.edited, say)
     problem = _problem_of(files[options.program.name])
+    if options.where is not None:
+        outcome = outcome_of(lines, options.where)
+        for text in ending(lines, outcome, problem):
+            say(text)
+        return _code(outcome)
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
     with ExitStack() as stack:
         rws = stack.enter_context(closing(_rws(options, secret)))
@@ -241,6 +247,7 @@ def link_command() -> Command:
             "--demo --page": "the same with a page in the browser",
             "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5 --dry-run": "is all ready?",
             "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5": "print",
+            "out/my_part/MyPart.mod --where out/my_part/MyPart_20261127T181500Z.jsonl": "where did it stop?",
         },
         {0: "printed, or ready (--dry-run)", 2: "wrong input", 3: "stopped, or not ready", 130: "interrupted"},
         [
@@ -266,6 +273,9 @@ def link_command() -> Command:
     add_edited(parser)
     parser.add_argument("--unload", action="store_true", help="unload the program when it is over")
     parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
+    parser.add_argument(
+        "--where", type=Path, metavar="FILE.jsonl", help="only tell where a run stands by its log, and how to go on"
+    )
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")
     parser.add_argument("--dry-run", action="store_true", help="look whether all is ready; nothing is sent or started")
     parser.add_argument("--demo", action="store_true", help="print on simulators: PROGRAM.mod, or the logo")
@@ -282,10 +292,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     options: argparse.Namespace = parser.parse_args(arguments)
     if not 0.1 <= options.pace <= 100.0:
         parser.error("--pace: 0.1 to 100")
-    if options.demo:
+    if options.demo or (options.where is not None and options.program is not None):
         return options
     if None in (options.program, options.controller, options.head):
-        parser.error("give PROGRAM.mod, --controller and --head, or --demo")
+        parser.error("give PROGRAM.mod, --controller and --head; or --demo; or PROGRAM.mod and --where")
     if options.certificate is not None and not options.certificate.is_file():
         parser.error(f"--certificate: there is no file {options.certificate}")
     try:

@@ -303,6 +303,7 @@ def _panes(subject: Subject, options: argparse.Namespace) -> tuple[str, ...]:
 def _ready(subject: Subject, browser: bool, server: Server) -> None:
     what = "results in" if subject.folder else "problem"
     tell_address(f"live view of {what} {subject.path}", server.address, server.address_once() if browser else None)
+    print("Ctrl-C ends it", file=sys.stderr)
 
 
 def view_command() -> Command:

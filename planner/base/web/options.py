@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import threading
 import webbrowser
 
@@ -24,6 +23,5 @@ def port_number(text: str) -> int:
 def tell_address(what: str, address: str, once: str | None) -> None:
     """Print a page's address, and open a browser at `once`, which lets one in; none where that is None."""
     print(f"{what}: {address}", flush=True)
-    print("Ctrl-C ends it", file=sys.stderr)
     if once is not None:  # which may take its time
         threading.Thread(target=webbrowser.open, args=(once,), daemon=True).start()
