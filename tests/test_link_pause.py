@@ -308,9 +308,10 @@ def test_what_is_typed_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
-def test_the_robot_pauses_and_goes_on_in_its_place() -> None:
+@pytest.mark.parametrize("version", [1, 2])
+def test_the_robot_pauses_and_goes_on_in_its_place(version: int) -> None:
     asked: list[Order] = []
-    with serving() as (server, controller), closing(session(server)) as rws:
+    with serving(version) as (server, controller), closing(session(server, version)) as rws:
         bring(rws, files_of(MODULE), silent)
         start(rws)
         watch = RobotWatch(rws, asked.append, lambda: False)
@@ -366,6 +367,23 @@ def test_a_robot_that_cannot_go_on(state: str, words: str) -> None:
             assert asked[1] == RobotMoves()
         watch.stop("over")
         assert watch.close() is None and not controller.running
+
+
+@pytest.mark.slow
+def test_a_robot_that_cannot_be_seen_to_pause() -> None:
+    """The web services fail from the pause on: the run ends, and the user is told."""
+    asked: list[Order] = []
+    with serving() as (server, _), closing(session(server)) as rws:
+        bring(rws, files_of(MODULE), silent)
+        start(rws)
+        watch = RobotWatch(rws, asked.append, lambda: False)
+        until(lambda: watch.subscribed)
+        server.close()
+        watch.pause()
+        until(lambda: asked != [], 15.0)
+        assert isinstance(asked[0], StopOrder) and "the robot was not seen to pause" in asked[0].reason
+        watch.stop("enough")
+        assert watch.close() is not None, "nor to stop"
 
 
 def test_a_stop_overtakes_a_start_that_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:

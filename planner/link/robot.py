@@ -238,7 +238,8 @@ class RobotWatch:
         if self._over.is_set():
             return
         wrong = stop_robot(self._rws)
-        self._stands.set()
+        if wrong is None:
+            self._stands.set()
         self._ask(RobotStands() if wrong is None else StopOrder(f"the robot was not seen to pause: {wrong}"))
 
     def _go_on(self) -> None:
