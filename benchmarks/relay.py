@@ -81,6 +81,19 @@ def ends(lines: ProgramLines, rate: float, pipe: multiprocessing.connection.Conn
     controller.recv(100)  # until the relay closes it
 
 
+class Idle:
+    """A robot that nobody has to stop."""
+
+    def stop(self, reason: str) -> None:
+        """Nothing moves."""
+
+    def pause(self) -> None:
+        """Nothing moves."""
+
+    def go_on(self) -> None:
+        """Nothing moves."""
+
+
 def relayed(lines: ProgramLines, controller: socket.socket, board: socket.socket) -> None:
     """The link's relay, with its log."""
     requests = Requests()
@@ -88,7 +101,7 @@ def relayed(lines: ProgramLines, controller: socket.socket, board: socket.socket
         log = Log(Path(folder) / "log.jsonl")
         relay = Relay(lines, time.monotonic())
         sockets = {RelaySide.CONTROLLER: controller, RelaySide.BOARD: board}
-        outcome = RelayRun(relay, sockets, requests, log, lambda reason: None, lambda n: None).run()
+        outcome = RelayRun(relay, sockets, requests, log, Idle(), lambda status: None).run()
         log.close()
     requests.close()
     if outcome.reason is not None:

@@ -25,10 +25,12 @@ from planner.base.errors import InputError
 from planner.export.rapid.writer import rapid_files
 from planner.link import command, demo, robot
 from planner.link import run as board
-from planner.link.command import Show, duration, main, place, progress
+from planner.link.command import main
 from planner.link.connections import Address, Secret, connect, parse_address, password
 from planner.link.program_lines import ProgramLine, ProgramLines
+from planner.link.relay import RelayState, RunStatus
 from planner.link.rws import DIALECTS, Rws
+from planner.link.telling import RunProgress, Show, duration, place, progress
 from planner.simulate.controller import Controller
 from planner.simulate.ftp import FtpAccess, FtpServer
 from planner.simulate.rws import Access, RwsServer
@@ -437,7 +439,11 @@ def test_the_progress() -> None:
     assert [place(lines, n) for n in (1, 3, 4)] == ["before the first bead", "bead 0, layer 0", "bead 1, layer 0"]
     assert [duration(s) for s in (0.4, 59.6, 3599.9, 7384)] == ["0:00", "1:00", "1:00:00", "2:03:04"]
     console = Console(file=io.StringIO(), width=120, force_terminal=True)
-    with Show(lines, console) as show:
-        show(0)
-        show(3)
+    told: list[RunProgress] = []
+    with Show(lines, console, told.append) as show:
+        for n, state in ((0, RelayState.HELLO), (3, RelayState.RUNNING), (3, RelayState.PAUSED)):
+            show(RunStatus(state, "", n, n, n, frozenset()))
     assert "bead 0, layer 0, line 3 of 4" in console.file.getvalue()  # type: ignore[attr-defined]
+    assert "paused: bead 0" in console.file.getvalue()  # type: ignore[attr-defined]
+    assert [each.status.acknowledged for each in told] == [0, 3, 3]
+    assert told[0].left == 80.0 and told[2].share == pytest.approx(2 / 3)

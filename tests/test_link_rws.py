@@ -25,6 +25,7 @@ from planner.link import command, demo, robot
 from planner.link import rws as client
 from planner.link.connections import Address, Cutter, LinkError, Secret, part
 from planner.link.ftp import Ftp
+from planner.link.orders import Order, StopOrder
 from planner.link.robot import RobotWatch, bring, start, stop_robot
 from planner.link.rws import USER, Rws
 from planner.simulate import rws as simulated
@@ -472,9 +473,10 @@ def watched(deed: Callable[[Controller, RwsServer], None], version: int = 1) -> 
     asked: list[str] = []
     said = threading.Event()
 
-    def ask(reason: str) -> None:
-        asked.append(reason)
-        said.set()
+    def ask(order: Order) -> None:
+        if isinstance(order, StopOrder):
+            asked.append(order.reason)
+            said.set()
 
     with serving(version) as (server, controller), closing(session(server, version)) as rws:
         bring(rws, files_of(MODULE), silent)

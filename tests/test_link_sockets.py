@@ -9,6 +9,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -18,11 +19,32 @@ from link_servers import BoardEnd, ControllerEnd
 from planner.base.errors import OutputError
 from planner.link import relay as patience
 from planner.link import relay as relay_module
-from planner.link.relay import Effect, Relay, RelaySide, RunOutcome
+from planner.link.orders import ContinueOrder, PauseOrder, ReprimeOrder, RobotMoves, RobotStands
+from planner.link.relay import Effect, Relay, RelaySide, RelayState, RunOutcome, RunStatus
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, signals_as
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
+
+
+class Hand:
+    """What moves the robot: notes what it was told, and sees it done at once."""
+
+    def __init__(self, requests: Requests) -> None:
+        self.requests = requests
+        self.stopped: list[str] = []
+        self.moved: list[str] = []
+
+    def stop(self, reason: str) -> None:
+        self.stopped.append(reason)
+
+    def pause(self) -> None:
+        self.moved.append("pause")
+        self.requests.ask(RobotStands())
+
+    def go_on(self) -> None:
+        self.moved.append("go on")
+        self.requests.ask(RobotMoves())
 
 
 class Session:
@@ -31,8 +53,9 @@ class Session:
     def __init__(self, log: Path, controller: ControllerEnd, board: BoardEnd) -> None:
         self.controller, self.board, self.log = controller, board, log
         self.requests = Requests()
-        self.robot: list[str] = []
-        self.shown: list[int] = []
+        self.hand = Hand(self.requests)
+        self.robot = self.hand.stopped
+        self.shown: list[RunStatus] = []
 
     def run(self) -> RunOutcome:
         sockets = {
@@ -42,7 +65,7 @@ class Session:
         log = Log(self.log)
         relay = Relay(PROGRAM, time.monotonic())
         try:
-            return RelayRun(relay, sockets, self.requests, log, self.robot.append, self.shown.append).run()
+            return RelayRun(relay, sockets, self.requests, log, self.hand, self.shown.append).run()
         finally:
             log.close()
             for each in sockets.values():
@@ -75,7 +98,7 @@ def test_a_whole_run(tmp_path: Path) -> None:
     session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
     outcome = session.run()
     check(session, outcome)
-    assert outcome.reason is None and outcome.position.n == TOTAL and session.shown[-1] == TOTAL
+    assert outcome.reason is None and outcome.position.n == TOTAL and session.shown[-1].acknowledged == TOTAL
     assert session.controller.core.acknowledged == TOTAL
 
 
@@ -155,6 +178,42 @@ def test_ctrl_c_stops_both_sides(tmp_path: Path, number: signal.Signals) -> None
     check(session, outcome)
     assert outcome.reason == (INTERRUPTED if number is signal.SIGINT else "this program was told to end")
     assert session.controller.core.stopped and board.core.plain == ["M106 P0 S0"] and outcome.safe
+
+
+def test_a_pause_a_reprime_and_on(tmp_path: Path) -> None:
+    """While it is paused the board gets nothing but what primes it, and then every line that is left, once."""
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
+    frozen: list[int] = []
+
+    def user() -> None:
+        wait_for(lambda: len(session.board.core.done) >= 9)
+        session.requests.ask(PauseOrder("wiped"))
+        wait_for(lambda: session.shown[-1].state is RelayState.PAUSED and "reprime" in session.shown[-1].may)
+        frozen.append(len(session.board.core.done))
+        time.sleep(0.3)
+        frozen.append(len(session.board.core.done))
+        session.requests.ask(ReprimeOrder(20e-3, 5e-3))
+        wait_for(lambda: len(session.board.core.plain) == 3 and session.shown[-1].state is RelayState.PAUSED)
+        session.requests.ask(ContinueOrder())
+
+    thread = threading.Thread(target=user, daemon=True)
+    thread.start()
+    outcome = session.run()
+    thread.join()
+    check(session, outcome)
+    assert outcome.reason is None and outcome.position.n == TOTAL
+    assert session.hand.moved == ["pause", "go on"] and frozen[0] == frozen[1] < TOTAL
+    assert session.board.core.plain == ["G1 E20.000 F300.000", "M400", "G1 F300"]
+    told = [record["what"] for record in records(session.log)]
+    order = [what for what in told if what in ("pause", "stands", "reprime", "reprimed", "continue", "moves")]
+    assert order == ["pause", "stands", *["reprime"] * 3, "reprimed", "continue", "moves"]
+
+
+def wait_for(holds: Callable[[], bool]) -> None:
+    end = time.monotonic() + 10.0
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.002)
 
 
 def test_a_log_that_cannot_be_written_stops_the_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,13 +22,14 @@ from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, height_map, planned_top
-from planner.feedback.scan_cloud import FEWEST, in_part_frame, read_cloud
 from planner.feedback.scan_command import main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
+from planner.feedback.scan_frame import in_part_frame
 from planner.feedback.scan_telling import bound_of, layer_heights, remains, table_of, write_map, write_problem
 from planner.plan import Check, Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
+from planner.problem.clouds import FEWEST, read_cloud
 from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import DeviationField, beads_up_to, left, made_up, read_map
 from planner.toolpath.bead import Toolpath

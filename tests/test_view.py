@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+import webbrowser
 from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
@@ -22,12 +23,14 @@ from solved import line_of, write_small
 from tornado.httpclient import AsyncHTTPClient, HTTPRequest, HTTPResponse
 
 from planner.base.errors import InputError
-from planner.view import command, server, solver
+from planner.base.web import server
+from planner.base.web.door import CODE_TIME, MOST_SESSIONS, Door
+from planner.base.web.server import LARGEST_ORDER, News, Server
+from planner.view import command, solver
 from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
-from planner.view.door import CODE_TIME, MOST_SESSIONS, Door
 from planner.view.machine import Again, Beside, Choose, Drafts, View
-from planner.view.server import LARGEST_ORDER, News, Server, order_of
+from planner.view.server import order_of, view_site
 
 ROOT = Path(__file__).resolve().parents[1]
 PLAN = {
@@ -202,7 +205,7 @@ class Page:
 
     async def until(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Listen until the page is told of a state that is wanted."""
-        return await asyncio.to_thread(_listen, self.url, self.cookie, wanted)
+        return await asyncio.to_thread(heard, self.url, self.cookie, wanted)
 
 
 def visit(subject: Subject, scenario: Callable[[Page], Awaitable[None]], *panes: str) -> None:
@@ -215,7 +218,7 @@ def visit(subject: Subject, scenario: Callable[[Page], Awaitable[None]], *panes:
         running = asyncio.create_task(run_view(subject, view, 0, made.set_result, over))
         try:
             there = await made
-            await scenario(Page(there, *await asyncio.to_thread(_entered, there.address)))
+            await scenario(Page(there, *await asyncio.to_thread(entered, there.address)))
         finally:
             over.set()
             assert await running == 0
@@ -321,7 +324,7 @@ def test_the_place_alone_lets_nobody_in(fake: Path) -> None:
     """Whoever knows the page's address has not been let in by it; the cookie is of one view, and for its own page only."""
 
     async def scenario(page: Page) -> None:
-        for cookie in ("", "beadwise-view=", "beadwise-view=" + "x" * 43, page.cookie + "x", page.cookie.upper()):
+        for cookie in ("", "beadwise=", "beadwise=" + "x" * 43, page.cookie + "x", page.cookie.upper()):
             for path in ("", "events", "page.js", "report/1-whole"):
                 assert (await page.get(path, headers={"Cookie": cookie})).code == 403
             assert await page.do({"do": "again"}, Cookie=cookie) == 403
@@ -338,7 +341,7 @@ def test_a_code_is_taken_once(fake: Path) -> None:
     async def scenario(page: Page) -> None:
         once = page.server.address_once()
         assert once != page.server.address
-        url, cookie = await asyncio.to_thread(_entered, once)
+        url, cookie = await asyncio.to_thread(entered, once)
         assert url == page.url and cookie != page.cookie
         assert (await page.get("", headers={"Cookie": cookie})).code == 200
         second = await page.get("", url=once)
@@ -370,7 +373,7 @@ def test_the_browser_is_started_with_a_code_only(
 ) -> None:
     """Arguments of a program can be read by all users of a computer."""
     opened: list[str] = []
-    monkeypatch.setattr(command.webbrowser, "open", opened.append)
+    monkeypatch.setattr(webbrowser, "open", opened.append)
 
     async def scenario(page: Page) -> None:
         command._ready(Subject(fake, "small"), True, page.server)
@@ -379,7 +382,7 @@ def test_the_browser_is_started_with_a_code_only(
         assert page.server.address in capsys.readouterr().out
         secret = (page.server.address.rsplit("/", 1)[1], page.cookie, urlsplit(page.url).path)
         assert not any(word in opened[0] for word in secret)
-        assert (await asyncio.to_thread(_entered, opened[0]))[0] == page.url
+        assert (await asyncio.to_thread(entered, opened[0]))[0] == page.url
         assert (await page.get("", url=opened[0])).code == 403
 
     visit(Subject(fake, "small"), scenario)
@@ -419,10 +422,10 @@ def test_who_listens_and_does_not_read_is_left(fake: Path, monkeypatch: pytest.M
     monkeypatch.setattr(server, "IDLE_TIME", 0.3)
 
     async def scenario() -> None:
-        news, where = News(), server.listen(0)
-        there = Server(where, news, lambda key: None, lambda event: None)
+        news, where = News(), server.listen(0, "--port")
+        there = Server(where, view_site(news, lambda key: None, lambda event: None))
         news.tell("x" * 30_000_000)
-        url, cookie = await asyncio.to_thread(_entered, there.address)
+        url, cookie = await asyncio.to_thread(entered, there.address)
         parts = urlsplit(url)
         with socket.create_connection(("127.0.0.1", parts.port or 0)) as made:
             made.sendall(
@@ -522,9 +525,9 @@ def test_life_of_the_command(tmp_path: Path) -> None:
             assert view.stdout is not None
             found = re.search(r"http://127\.0\.0\.1:(\d+)/\S+", view.stdout.readline())
             assert found is not None
-            page = _entered(found[0])
+            page = entered(found[0])
             stages: list[dict[str, Any]] = []
-            state = _listen(*page, lambda state: _note(state, stages) or state["panes"][0]["result"])
+            state = heard(*page, lambda state: _note(state, stages) or state["panes"][0]["result"])
             assert len(stages) > 3 and all(stage["done"] is not None for stage in stages), "the page knows all stages"
             assert state["panes"][0]["result"]["kind"] == "verified"
             children = _children(view.pid)
@@ -544,7 +547,7 @@ def _note(state: dict[str, Any], stages: list[dict[str, Any]]) -> None:
         stages.append(running)
 
 
-def _entered(address: str) -> tuple[str, str]:
+def entered(address: str) -> tuple[str, str]:
     """The page that an address leads to, and the cookie that it gives."""
     parts = urlsplit(address)
     connection = HTTPConnection(parts.hostname or "", parts.port, timeout=60)
@@ -558,7 +561,7 @@ def _entered(address: str) -> tuple[str, str]:
     return f"{parts.scheme}://{parts.netloc}{moved[1]}", cookie
 
 
-def _listen(url: str, cookie: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+def heard(url: str, cookie: str, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
     parts = urlsplit(url)
     connection = HTTPConnection(parts.hostname or "", parts.port, timeout=60)
     connection.request("GET", parts.path + "events", headers={"Cookie": cookie})

@@ -20,8 +20,8 @@ from planner.base.results import results_folder
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, check_size, height_map, planned_top
 from planner.feedback.planned import planned_problem
-from planner.feedback.scan_cloud import FRAMES, UNITS, in_part_frame, read_cloud
 from planner.feedback.scan_fit import CloudFit, fit_cloud
+from planner.feedback.scan_frame import FRAMES, UNITS, in_part_frame
 from planner.feedback.scan_telling import (
     MAP,
     PICTURE,
@@ -37,6 +37,7 @@ from planner.feedback.scan_telling import (
 from planner.planning.options import add_set, add_strategy
 from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem
+from planner.problem.clouds import read_cloud
 from planner.problem.yaml_file import Override
 from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import MOST_SHARE, beads_up_to

@@ -8,16 +8,16 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.base.web.options import add_page_options, tell_address
 from planner.link.as_written import add_edited, program_as_written
 from planner.link.connections import (
     CONNECT_TIME,
@@ -32,8 +32,10 @@ from planner.link.connections import (
 from planner.link.ftp import HOME as FTP_HOME
 from planner.link.ftp import PORT as FTP_PORT
 from planner.link.ftp import Ftp
+from planner.link.logged import outcome_of
 from planner.link.messages import stop as stop_words
-from planner.link.program_lines import NO_BEAD, ProgramLines, lines_file, read_program_lines
+from planner.link.orders import listen_at_terminal
+from planner.link.program_lines import ProgramLines, lines_file, read_program_lines
 from planner.link.relay import LogNote, Relay, RelaySide, RunOutcome
 from planner.link.robot import (
     RobotWatch,
@@ -47,94 +49,7 @@ from planner.link.robot import (
 )
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
-
-# ----------------------------------------------------------------------------------------------------
-# Progress, and how a run ended.
-
-SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
-
-
-class Show:
-    """A bar with bead, layer, line and time left; nothing where the console is None."""
-
-    def __init__(self, lines: ProgramLines, console: Console | None) -> None:
-        self._lines = lines
-        self._first: float | None = None  # when the first line was acknowledged [s of a steady clock]
-        self._progress = None if console is None else Progress(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
-            TextColumn("{task.fields[left]}"), console=console, auto_refresh=False,
-        )  # fmt: skip
-        self._bar = None if self._progress is None else self._progress.add_task("waiting", total=1.0, left="")
-
-    def __enter__(self) -> Show:
-        if self._progress is not None:
-            self._progress.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._progress is not None:
-            self._progress.stop()
-
-    def __call__(self, acknowledged: int) -> None:
-        """Draw how far the run is after a line."""
-        if self._progress is None or self._bar is None or not acknowledged:
-            return
-        now = time.monotonic()
-        if self._first is None:
-            self._first = now
-        share, left = progress(self._lines, acknowledged, now - self._first)
-        words = f"{place(self._lines, acknowledged)}, line {acknowledged} of {len(self._lines)}"
-        self._progress.update(self._bar, completed=share, description=words, left=f"{duration(left)} left")
-        self._progress.refresh()
-
-
-def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[float, float]:
-    """Share of the planned time that is over, and the time that the rest takes [s] at the pace so far.
-
-    since  time from the first ack [s]
-    """
-    first, last, here = lines[1].t, lines[len(lines)].t, lines[acknowledged].t
-    if acknowledged == len(lines) or last <= first:
-        return acknowledged / len(lines), 0.0
-    pace = since / (here - first) if here - first >= SETTLED and since > 0.0 else 1.0
-    return (here - first) / (last - first), (last - here) * pace
-
-
-def place(lines: ProgramLines, n: int) -> str:
-    """Bead and layer of a line in words, numbered as everywhere; of the one before where it belongs to no bead."""
-    line = next((lines[k] for k in range(n, 0, -1) if lines[k].bead != NO_BEAD), None)
-    return "before the first bead" if line is None else f"bead {line.bead}, layer {line.layer}"
-
-
-def duration(seconds: float) -> str:
-    """A time as 1:02:03 or 2:03."""
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
-
-
-def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
-    """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
-    total, n = len(lines), outcome.position.n
-    if outcome.reason is None:
-        return [f"done: all {total} lines were acknowledged"]
-    where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
-    out = [f"stopped: {outcome.reason}; {where}"]
-    if outcome.sent > n:
-        out.append(f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out")
-    if not outcome.safe:
-        out.append(
-            "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
-        )
-    resume = outcome.position.resume
-    if resume is None:
-        return [*out, "all beads were printed"]
-    return [
-        *out,
-        f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
-    ]
-
+from planner.link.telling import RunProgress, Show, ending
 
 # ----------------------------------------------------------------------------------------------------
 # The command.
@@ -180,6 +95,11 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     written = [*(name for name in files if (folder / name).is_file()), lines_file(options.program).name]
     program_as_written(folder, written, options.edited, say)
     problem = _problem_of(files[options.program.name])
+    if options.where is not None:
+        outcome = outcome_of(lines, options.where)
+        for text in ending(lines, outcome, problem):
+            say(text)
+        return _code(outcome)
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
     with ExitStack() as stack:
         rws = stack.enter_context(closing(_rws(options, secret)))
@@ -192,23 +112,67 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         say(f"controller and board are ready: {lines.module}, {len(lines)} lines")
         if options.dry_run:
             return EXIT_VERIFIED
-        log = stack.enter_context(closing(Log(options.log or _log_path(options.program))))
+        requests = stack.enter_context(closing(Requests()))
+        hub = stack.enter_context(_hub(options, lines, problem, requests, say))
+        log = stack.enter_context(closing(Log(options.log or _log_path(options.program), hub.log)))
         log.write([LogNote("board", 0, text) for text in greeting])
         with _way(options, secret) as way:
-            bring(rws, files, say, way)
+            bring(rws, files, hub.say, way)
         with _stopping(rws, options.socket) as started:
             program = stack.enter_context(connect(options.socket, "the program on the controller", JOIN_TIME))
-            requests = stack.enter_context(closing(Requests()))
-            relay = Relay(lines, time.monotonic(), options.cold)
-            with signals_as(requests), Show(lines, None if options.quiet else Console(stderr=True)) as show:
+            relay = Relay(lines, time.monotonic(), options.cold, hub.attended)
+            if hub.typing:
+                listen_at_terminal(lambda: relay.status.may, requests.ask, say)
+            console = None if options.quiet else Console(stderr=True)
+            with signals_as(requests), Show(lines, console, hub.show) as show:
                 robot = RobotWatch(rws, requests.ask, lambda: relay.ended)
                 sockets = {RelaySide.CONTROLLER: program, RelaySide.BOARD: board}
-                outcome = RelayRun(relay, sockets, requests, log, robot.stop, show).run()
+                outcome = RelayRun(relay, sockets, requests, log, robot, show).run()
                 trouble = robot.close()
                 started.over = True
         if options.unload:
             _unload(rws, programs_of(files), say)
-        return _told(lines, outcome, trouble, problem, log, say)
+        texts = [*ending(lines, outcome, problem), *_besides(outcome, trouble), f"log: {log.path}"]
+        for text in texts:
+            say(text)
+        hub.end(outcome.reason is None, texts)
+        return _code(outcome)
+
+
+@dataclass(frozen=True)
+class _Hub:
+    """Whom a run is shown to besides the terminal: a page, if there is one; and whether somebody types at the terminal."""
+
+    say: Callable[[str], None]
+    show: Callable[[RunProgress], None]
+    log: Callable[[Iterable[LogNote]], None]
+    end: Callable[[bool, Sequence[str]], None]
+    typing: bool
+    attended: bool
+
+
+@contextmanager
+def _hub(
+    options: argparse.Namespace, lines: ProgramLines, problem: str, requests: Requests, say: Callable[[str], None]
+) -> Iterator[_Hub]:
+    typing = sys.stdin is not None and sys.stdin.isatty()
+    if not options.page:
+        yield _Hub(say, lambda now: None, lambda notes: None, lambda done, texts: None, typing, typing)
+        return
+    from planner.link.page import DONE, STOPPED, hub_page  # needs the packages that serve it
+
+    with hub_page(lines, problem, options.page_port, requests.ask) as page:
+
+        def say_both(text: str) -> None:
+            say(text)
+            page.say(text)
+
+        tell_address("page of the run", page.address, page.address_once() if options.browser else None)
+
+        def end(done: bool, texts: Sequence[str]) -> None:
+            page.end(DONE if done else STOPPED, texts)
+
+        yield _Hub(say_both, page.show, page.log, end, typing, True)
 
 
 @contextmanager
@@ -258,14 +222,13 @@ def _turn_away(program: Address) -> None:
         part(made, stop_words("the link has failed"), CONNECT_TIME)
 
 
-def _told(
-    lines: ProgramLines, outcome: RunOutcome, trouble: str | None, problem: str, log: Log, say: Callable[[str], None]
-) -> int:
-    for text in ending(lines, outcome, problem):
-        say(text)
-    if trouble is not None and outcome.reason is not None:
-        say(f"the robot was told to stop through its program only: {trouble}")
-    say(f"log: {log.path}")
+def _besides(outcome: RunOutcome, trouble: str | None) -> list[str]:
+    if trouble is None or outcome.reason is None:
+        return []
+    return [f"the robot was told to stop through its program only: {trouble}"]
+
+
+def _code(outcome: RunOutcome) -> int:
     if outcome.reason is None:
         return EXIT_VERIFIED
     return EXIT_INTERRUPTED if outcome.reason == INTERRUPTED else EXIT_NOT_VERIFIED
@@ -295,11 +258,16 @@ def link_command() -> Command:
         "Run a program of style `socket`: bring it to the controller, start it, and relay its lines to the board.",
         {
             "--demo": "print the logo on simulators of controller and board",
+            "--demo --page": "the same with a page in the browser",
             "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5 --dry-run": "is all ready?",
             "out/my_part/MyPart.mod --controller 192.168.125.1 --head 192.168.125.5": "print",
+            "out/my_part/MyPart.mod --where out/my_part/MyPart_20261127T181500Z.jsonl": "where did it stop?",
         },
         {0: "printed, or ready (--dry-run)", 2: "wrong input", 3: "stopped, or not ready", 130: "interrupted"},
-        [f"passwords come from {PASSWORD} and {HEAD_PASSWORD}, or are asked for"],
+        [
+            f"passwords come from {PASSWORD} and {HEAD_PASSWORD}, or are asked for",
+            "while it runs, type at the terminal: pause, jam, reprime [MM [MM_S]], continue, stop, or their first letters",
+        ],
     )
     parser.add_argument(
         "program", type=Path, nargs="?", metavar="PROGRAM.mod", help="with its table of lines beside it"
@@ -319,10 +287,15 @@ def link_command() -> Command:
     add_edited(parser)
     parser.add_argument("--unload", action="store_true", help="unload the program when it is over")
     parser.add_argument("--log", type=Path, metavar="FILE.jsonl", help="default: beside the program, named by the time")
+    parser.add_argument(
+        "--where", type=Path, metavar="FILE.jsonl", help="only tell where a run stands by its log, and how to go on"
+    )
     parser.add_argument("--cold", action="store_true", help="switch the heaters off when a run is stopped")
     parser.add_argument("--dry-run", action="store_true", help="look whether all is ready; nothing is sent or started")
     parser.add_argument("--demo", action="store_true", help="print on simulators: PROGRAM.mod, or the logo")
     parser.add_argument("--pace", type=float, default=DEMO_PACE, help=f"of the demo (default {DEMO_PACE:g})")
+    parser.add_argument("--page", action="store_true", help="show the run in the browser, with buttons to pause it")
+    add_page_options(parser, "--page-port")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.set_defaults(secret=None)
     return parser
@@ -333,10 +306,10 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     options: argparse.Namespace = parser.parse_args(arguments)
     if not 0.1 <= options.pace <= 100.0:
         parser.error("--pace: 0.1 to 100")
-    if options.demo:
+    if options.demo or (options.where is not None and options.program is not None):
         return options
     if None in (options.program, options.controller, options.head):
-        parser.error("give PROGRAM.mod, --controller and --head, or --demo")
+        parser.error("give PROGRAM.mod, --controller and --head; or --demo; or PROGRAM.mod and --where")
     if options.certificate is not None and not options.certificate.is_file():
         parser.error(f"--certificate: there is no file {options.certificate}")
     try:

@@ -64,6 +64,9 @@ _STOPPED = re.compile(rf"X {_NUMBER} (.*)")
 _GCODE = re.compile(r"[GMT][0-9]+(\.[0-9]+)?( [\x21-\x7e][\x20-\x7e]*)?")
 _OK = re.compile(rf"ok(?: N{_NUMBER})?(?: .*)?")
 _RESEND = re.compile(rf"(?:Resend|rs): ?N?{_NUMBER}")
+_JAM = re.compile(
+    r"(?:Error: |Warning: )?Filament error on extruder [0-9]{1,3}\b.*"
+)  # RepRapFirmware's filament monitor
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,13 @@ class Trouble:
 
 
 @dataclass(frozen=True)
+class Jam:
+    """The board's filament monitor finds that filament does not move as it should, or is used up."""
+
+    text: str
+
+
+@dataclass(frozen=True)
 class Remark:
     """The board says something that asks for nothing."""
 
@@ -126,7 +136,7 @@ class Remark:
 
 
 ControllerMessage = Hello | Line | End | Stopped
-BoardMessage = Ok | Resend | Trouble | Remark
+BoardMessage = Ok | Resend | Trouble | Jam | Remark
 
 
 def is_gcode(text: str) -> bool:
@@ -155,6 +165,8 @@ def from_board(text: str) -> BoardMessage:
         return Ok(None if found[1] is None else int(found[1]))
     if found := _RESEND.fullmatch(text):
         return Resend(int(found[1]))
+    if _JAM.fullmatch(text):
+        return Jam(text)
     if text.startswith(("Error", "!!", "Resend", "rs", "halt")):
         return Trouble(text)
     return Remark(text)

@@ -6,6 +6,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Protocol
 
@@ -13,6 +14,7 @@ from planner.base.errors import InputError
 from planner.base.files import read_bytes
 from planner.export.rapid.multimove import TASKS, second_name
 from planner.link.connections import LinkError
+from planner.link.orders import Order, RobotMoves, RobotStands, StopOrder
 from planner.link.rws import TASK, ExecutionEvents, Rws
 
 # ----------------------------------------------------------------------------------------------------
@@ -213,17 +215,19 @@ def _stopped(rws: Rws) -> str | None:
 
 
 class RobotWatch:
-    """Watches a running program from a thread of its own, and stops it when asked to.
+    """Watches a running program from a thread of its own, stops it, and lets it pause and go on when asked to.
 
     The controller tells changes of its state over a subscription; where it has none, or that is lost, it is asked.
     """
 
-    def __init__(self, rws: Rws, ask: Callable[[str], None], through: Callable[[], bool]) -> None:
-        """ask: is told why the run is to end; through: whether the program said that it has ended."""
+    def __init__(self, rws: Rws, ask: Callable[[Order], None], through: Callable[[], bool]) -> None:
+        """ask: is told why the run is to end, and when the robot stands or goes on; through: the program has ended."""
         self._rws, self._ask, self._through = rws, ask, through
-        self._over = threading.Event()
+        self._over, self._paused, self._stands = threading.Event(), threading.Event(), threading.Event()
         self._stopped: str | None = None
         self._stopper: threading.Thread | None = None
+        self._hand = ThreadPoolExecutor(1, "hand")  # one thing after the other
+        self._going_on = False  # a start is under way, or was when it was to stop
         self.subscribed = False
         self._thread = threading.Thread(target=self._watch, name="robot", daemon=True)
         self._thread.start()
@@ -235,6 +239,15 @@ class RobotWatch:
             self._stopper = threading.Thread(target=self._stop, name="stop", daemon=True)
             self._stopper.start()
 
+    def pause(self) -> None:
+        """Stop the robot where it is, without waiting for it; `RobotStands` is asked for once it does."""
+        self._paused.set()
+        self._hand.submit(self._pause)
+
+    def go_on(self) -> None:
+        """Let the program go on where it stands, without waiting for it; `RobotMoves` is asked for once it does."""
+        self._hand.submit(self._go_on)
+
     def close(self) -> str | None:
         """End the watch; in words what went wrong with stopping, None if nothing did."""
         self._over.set()
@@ -242,11 +255,39 @@ class RobotWatch:
             self._stopper.join(STOP_TIME + STOPPING_TIME)
             if self._stopper.is_alive():
                 return "the controller's web services do not answer"
+        self._hand.shutdown(wait=False, cancel_futures=True)
         self._thread.join(2 * WATCH_TIME)
         return self._stopped
 
     def _stop(self) -> None:
         self._stopped = stop_robot(self._rws)
+        self._hand.shutdown(wait=True, cancel_futures=True)
+        if self._going_on:  # a start that was under way may have come after the stop
+            self._stopped = stop_robot(self._rws)
+
+    def _pause(self) -> None:
+        if self._over.is_set():
+            return
+        wrong = stop_robot(self._rws)
+        if wrong is None:
+            self._stands.set()
+        self._ask(RobotStands() if wrong is None else StopOrder(f"the robot was not seen to pause: {wrong}"))
+
+    def _go_on(self) -> None:
+        if self._over.is_set():
+            return
+        self._going_on = True
+        self._stands.clear()
+        rws = self._rws.again()
+        try:
+            start(rws)
+            self._paused.clear()
+            self._ask(RobotMoves())
+        except (LinkError, InputError) as error:
+            self._ask(StopOrder(f"the robot does not go on: {error}"))
+        finally:
+            self._going_on = self._over.is_set()
+            rws.close()
 
     def _watch(self) -> None:
         rws = self._rws.again()
@@ -283,15 +324,20 @@ class RobotWatch:
                 return
             if events is not None and told is None and not (still or lost) and time.monotonic() - looked < SURE_TIME:
                 continue
-            looked = time.monotonic()
+            looked, stood = time.monotonic(), self._stands.is_set()
             try:
                 still = 0 if rws.running(LOOK_LIMIT) else still + 1
                 lost = 0
+                if stood and self._stands.is_set() and not still:
+                    self._ask(StopOrder("the program was started on the controller while it was paused"))
+                    return
             except (LinkError, InputError) as error:
                 lost += 1
                 if lost >= LOST:
-                    self._ask(f"the robot cannot be watched any more: {error}")
+                    self._ask(StopOrder(f"the robot cannot be watched any more: {error}"))
                     return
-            if still >= STILL and not self._through():
-                self._ask("the program was stopped on the controller")
+            if self._paused.is_set():
+                still = 0
+            elif still >= STILL and not self._through():
+                self._ask(StopOrder("the program was stopped on the controller"))
                 return

@@ -10,15 +10,29 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Protocol
 
 from planner.base.errors import InputError, OutputError
 from planner.link.connections import PIECE, Address, LinkError, connect, part, password
 from planner.link.messages import LONGEST_LINE, Framer, Ok, Trouble, from_board, to_board_plain
-from planner.link.relay import FAILED, Effect, LogNote, Relay, RelaySide, RunOutcome, StopRobot, Write
+from planner.link.orders import Order, StopOrder
+from planner.link.relay import (
+    FAILED,
+    Effect,
+    LogNote,
+    MoveRobot,
+    PauseRobot,
+    Relay,
+    RelaySide,
+    RunOutcome,
+    RunStatus,
+    StopRobot,
+    Write,
+)
 
 # ----------------------------------------------------------------------------------------------------
 # The log: one JSON object a line, written at once.
@@ -27,10 +41,12 @@ from planner.link.relay import FAILED, Effect, LogNote, Relay, RelaySide, RunOut
 class Log:
     """Records with UTC and a steady clock [ms]. Each is with the system before anything follows from it, so that a crash
     of this program loses none; `close` waits until they are on the disk.
+
+    seen  gets the same records, once they are written
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, seen: Callable[[Sequence[LogNote]], None] = lambda notes: None) -> None:
+        self.path, self._seen = path, seen
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except FileExistsError:
@@ -38,7 +54,7 @@ class Log:
         except OSError as error:
             raise OutputError(f"cannot write {path}: {error.strerror}") from None
 
-    def write(self, notes: Iterable[LogNote]) -> None:
+    def write(self, notes: Sequence[LogNote]) -> None:
         """Append records; OSError where the disk does not take them."""
         now, clock = datetime.now(UTC).isoformat(timespec="milliseconds"), round(1e3 * time.monotonic(), 3)
         begin = f'{{"utc": "{now}", "ms": {clock}, '  # by hand, for a line of the program makes three records
@@ -46,6 +62,7 @@ class Log:
         left = memoryview("".join(texts).encode("ascii"))
         while left:
             left = left[os.write(self._file, left) :]
+        self._seen(notes)
 
     def close(self) -> None:
         """Nothing more is written."""
@@ -136,29 +153,29 @@ INTERRUPTED = "interrupted from the keyboard"
 
 
 class Requests:
-    """Reasons to stop that come from other threads and from signals; they wake whoever waits for the sockets."""
+    """Orders that come from other threads and from signals; they wake whoever waits for the sockets."""
 
     def __init__(self) -> None:
-        self._reasons: deque[str] = deque()
+        self._orders: deque[Order] = deque()
         self.waker, self._wake = socket.socketpair()
         self.waker.setblocking(False)
         self._wake.setblocking(False)
 
-    def ask(self, reason: str) -> None:
-        """The run is to be stopped."""
-        self._reasons.append(reason)
+    def ask(self, order: Order) -> None:
+        """The run is to be told."""
+        self._orders.append(order)
         try:
             self._wake.send(b"!")
         except OSError:
             return  # it is awake, or over
 
-    def taken(self) -> list[str]:
+    def taken(self) -> list[Order]:
         """What was asked for since."""
         try:
             self.waker.recv(PIECE)
         except BlockingIOError:
             return []
-        return [self._reasons.popleft() for _ in range(len(self._reasons))]
+        return [self._orders.popleft() for _ in range(len(self._orders))]
 
     def close(self) -> None:
         """Nobody listens any more."""
@@ -176,7 +193,8 @@ def signals_as(requests: Requests) -> Iterator[None]:
     if hasattr(signal, "SIGHUP"):
         reasons[signal.SIGHUP] = "the terminal was closed"
     before = {
-        number: signal.signal(number, lambda n, _: requests.ask(reasons[signal.Signals(n)])) for number in reasons
+        number: signal.signal(number, lambda n, _: requests.ask(StopOrder(reasons[signal.Signals(n)])))
+        for number in reasons
     }
     try:
         yield
@@ -185,11 +203,23 @@ def signals_as(requests: Requests) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+class RobotHand(Protocol):
+    """What moves the robot on another way than the program's socket, without waiting for it here."""
+
+    def stop(self, reason: str) -> None:
+        """Stop it for good."""
+
+    def pause(self) -> None:
+        """Stop it so that it can go on."""
+
+    def go_on(self) -> None:
+        """Let it go on."""
+
+
 class RelayRun:
     """A relay on its two sockets.
 
-    stop_robot  stops the robot on another way than the program's socket, without waiting for it
-    show        gets the last line that was acknowledged, a few times a second
+    show  gets where the run is, a few times a second and whenever its state has changed
     """
 
     def __init__(
@@ -198,11 +228,11 @@ class RelayRun:
         sockets: Mapping[RelaySide, socket.socket],
         requests: Requests,
         log: Log,
-        stop_robot: Callable[[str], None],
-        show: Callable[[int], None],
+        robot: RobotHand,
+        show: Callable[[RunStatus], None],
     ) -> None:
         self._relay, self._sockets, self._requests, self._log = relay, dict(sockets), requests, log
-        self._stop_robot, self._show = stop_robot, show
+        self._robot, self._show = robot, show
         self._unsent = {side: bytearray() for side in RelaySide}
         self._lost: deque[tuple[RelaySide, str]] = deque()  # to be told to the relay
         self._outcome: RunOutcome | None = None
@@ -221,7 +251,7 @@ class RelayRun:
         """Stop both sides without the relay."""
         try:
             self._write_log([LogNote("stop", self._relay.acknowledged, FAILED)])
-            self._stop_robot(FAILED)
+            self._robot.stop(FAILED)
         finally:
             for side in list(self._sockets):
                 self._unsent[side] += self._relay.last_words[side]
@@ -233,7 +263,7 @@ class RelayRun:
                 made.setblocking(False)
                 selector.register(made, selectors.EVENT_READ, side)
             selector.register(self._requests.waker, selectors.EVENT_READ, None)
-            shown = 0.0
+            shown, state = 0.0, None
             while self._outcome is None:
                 patience = min(max(self._relay.deadline - time.monotonic(), 0.0), LOOK_TIME)
                 for key, mask in selector.select(patience):
@@ -244,10 +274,10 @@ class RelayRun:
                 self._carry_out(self._relay.tick(time.monotonic()))
                 if self._changed:
                     self._watch(selector)
-                if time.monotonic() >= shown + LOOK_TIME:
-                    self._show(self._relay.acknowledged)
-                    shown = time.monotonic()
-        self._show(self._relay.acknowledged)
+                status = self._relay.status
+                if status.state is not state or time.monotonic() >= shown + LOOK_TIME:
+                    self._show(status)
+                    shown, state = time.monotonic(), status.state
         for side in list(self._sockets):
             self._part(side)
         return self._outcome
@@ -256,8 +286,8 @@ class RelayRun:
         if self._outcome is not None:
             return
         if side is None:
-            for reason in self._requests.taken():
-                self._carry_out(self._relay.stop(reason, time.monotonic()))
+            for order in self._requests.taken():
+                self._carry_out(self._relay.take(order, time.monotonic()))
             return
         if mask & selectors.EVENT_WRITE:
             self._flush(side)
@@ -282,7 +312,11 @@ class RelayRun:
             if isinstance(effect, Write):
                 self._unsent[effect.side] += effect.data
             elif isinstance(effect, StopRobot):
-                self._stop_robot(effect.reason)
+                self._robot.stop(effect.reason)
+            elif isinstance(effect, PauseRobot):
+                self._robot.pause()
+            elif isinstance(effect, MoveRobot):
+                self._robot.go_on()
             elif isinstance(effect, RunOutcome):
                 self._outcome = effect
         for side, unsent in self._unsent.items():
@@ -296,7 +330,7 @@ class RelayRun:
             self._log.write(notes)
         except OSError as error:
             self._log_works = False  # first, for stopping is noted, too
-            self._requests.ask(f"the log cannot be written: {error.strerror}")
+            self._requests.ask(StopOrder(f"the log cannot be written: {error.strerror}"))
 
     def _flush(self, side: RelaySide) -> None:
         unsent = self._unsent[side]

@@ -93,7 +93,7 @@ def is_quick(problem: Problem) -> bool:
         return _bytes(layers.source.gcode) <= QUICK_BYTES
     if isinstance(layers, WrappedLayersSpec):
         return True
-    return isinstance(layers, ProjectedLayersSpec) and body not in ("mesh", "step")
+    return isinstance(layers, ProjectedLayersSpec) and body not in ("mesh", "scan", "step")
 
 
 def _bytes(path: Path) -> int:
@@ -192,6 +192,10 @@ def _read(problem: Problem, field: str, path: Path) -> None:
         from planner.problem.cad_files import check_step
 
         check_step(path, where)
+    elif field.startswith("part.scan") and problem.part is not None and problem.part.scan is not None:
+        from planner.problem.clouds import read_scan
+
+        read_scan(problem.part.scan, where)
     elif field.endswith((".mesh", ".file")):
         from planner.problem.mesh_files import read_corners
 

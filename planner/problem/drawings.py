@@ -144,7 +144,7 @@ class OnPartSpec(Section):
 class ProjectedLayersSpec(OnPartSpec):
     """What is printed, and how often: plane curves projected onto the part."""
 
-    bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh", "step")
+    bodies: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation", "mesh", "scan", "step")
     exact: ClassVar[tuple[str, ...]] = ("sphere", "ellipsoid", "plane", "corrugation")  # for other ways than z
 
     project: Annotated[ProjectName, one_of(PROJECT_NAMES)] = key(

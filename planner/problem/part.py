@@ -114,6 +114,31 @@ class MeshSpec(Section):
     smooth: Smooth | None = smooth_key()
 
 
+class ScanSpec(Section):
+    """A bed or part as it was scanned: a smooth surface through points or facets with noise, seen from above."""
+
+    file: Annotated[Path, PATH] = key(
+        "file",
+        "the scan: points (PLY, XYZ, TXT, CSV, ASC, PTS, NPY, NPZ) or facets (STL, PLY, OBJ, OFF), counted from the folder of "
+        "the problem file",
+    )
+    unit: Unit | None = unit_key()
+    scale: Scale = scale_key()
+    origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
+    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
+    )
+    noise: Annotated[float, Quantity("mm", 0.01, 5)] = key(
+        "noise_mm", "how far points may lie off the smooth surface; where one is farther, the scan is refused [mm]", 0.5
+    )
+    hole: Annotated[float, Quantity("mm", 0.5, 100)] | None = key(
+        "hole_mm",
+        "how wide a place without points may be under the curves [mm]; default: five times the usual distance of points, at "
+        "least 2",
+        None,
+    )
+
+
 Face = int | str  # its number in the file, from 1, or its name
 
 ANY_FACES = "all, or a list of names and numbers, from 1, as they stand in the file"
@@ -160,7 +185,7 @@ class StepSpec(Section):
 class PartSpec(Section):
     """The body to print on: one of these."""
 
-    model_config = exactly_one("cylinder", "sphere", "ellipsoid", "plane", "corrugation", "mesh", "step")
+    model_config = exactly_one("cylinder", "sphere", "ellipsoid", "plane", "corrugation", "mesh", "scan", "step")
 
     cylinder: CylinderSpec | None = key("cylinder", "an upright cylinder; default: none", None)
     sphere: SphereSpec | None = key("sphere", "a ball or a dome; default: none", None)
@@ -168,6 +193,7 @@ class PartSpec(Section):
     plane: PlaneSpec | None = key("plane", "a level or inclined plane; default: none", None)
     corrugation: CorrugationSpec | None = key("corrugation", "a sheet of even waves; default: none", None)
     mesh: MeshSpec | None = key("mesh", "a file of facets; default: none", None)
+    scan: ScanSpec | None = key("scan", "a scan with noise, smoothed; default: none", None)
     step: StepSpec | None = key("step", "faces of a STEP or IGES file; default: none", None)
 
     @property

@@ -18,6 +18,7 @@ BOARD_FAULTS = {
     "error": "answers a line with an error instead of doing it",
     "delay": "holds back a line's ok, and all after it, for so many seconds (1 unless said)",
     "jam": "the filament jams when the line is begun: nothing is accepted any more once the queue is full",
+    "clog": "the filament monitor complains when the line is begun, and the line is done all the same, as on a real board",
     "drop": "closes the connection when the line's ok is due: the line is done, its ok is lost",
     "garbage": "sends bytes that mean nothing instead of a line's ok",
     "resend": "takes a line's checksum for wrong, once",
@@ -148,7 +149,7 @@ DEFAULT_FEED = 50.0  # mm/s, RepRapFirmware's before any F
 _WORD = re.compile(r"([A-Z])\s*(-?(?:[0-9]+\.?[0-9]*|\.[0-9]+)|\"[^\"]*\")?")
 _NUMBERED = re.compile(r"N([0-9]{1,9})\s+(.*)")
 _QUEUED = {"G0", "G1", "M104", "M140", "M106", "M107"}
-_WAITS = {"G4", "M109", "M116", "M190", "T"}  # a tool change waits for what moves, too
+_WAITS = {"G4", "M109", "M116", "M190", "M400", "T"}  # a tool change waits for what moves, too
 
 
 @dataclass(frozen=True)
@@ -350,6 +351,8 @@ class Board:
                     return f"Error: {code}: no such temperature or tool"
         start = self._queue[-1].end if self._queue else self._time
         job = _Job(line, code, words, start + lasts)
+        if self._faults.take("clog", line.number):
+            out.append(self._warn(f"Error: Filament error on extruder {self.tool}: tooLittleMovement"))
         if self._faults.take("jam", line.number):
             out.append(self._warn(f"Error: Filament error on extruder {self.tool}: too little movement"))
             job = _Job(line, code, words, math.inf)
@@ -385,7 +388,7 @@ class Board:
 
     def _wait(self, code: str, words: dict[str, float]) -> float:
         """How long a line that waits takes from now on [s]; heaters get their targets."""
-        if code == "T":
+        if code in ("T", "M400"):
             return 0.0
         if code == "G4":
             return words.get("P", 0.0) * 1e-3 + words.get("S", 0.0)

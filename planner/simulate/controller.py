@@ -370,8 +370,7 @@ class ProgramRun:
         elif lines is not None:
             self._listen(lines, 0.0)
             while lines.full:
-                lines.need()
-                self._listen(lines)
+                self._need(lines, TIMEOUT)
             self._since = time.monotonic()  # the robot stood meanwhile
             self._send(happening.text, lines)
             self._note(lines)
@@ -379,9 +378,16 @@ class ProgramRun:
     def _settle(self, lines: ProgramSocket | None) -> None:
         """Stand until every line was taken."""
         while lines is not None and not lines.quiet:
-            lines.need(LATEST)
-            self._listen(lines)
+            self._need(lines, LATEST)
         self._since = time.monotonic()
+
+    def _need(self, lines: ProgramSocket, limit: float) -> None:
+        """Wait for an acknowledgement; a program that is paused waits for nothing."""
+        if self._going.is_set():
+            lines.need(limit)
+        else:
+            lines.hold()
+        self._listen(lines)
 
     def _send(self, text: str, lines: ProgramSocket) -> None:
         n = lines.sent + 1

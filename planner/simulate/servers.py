@@ -313,7 +313,11 @@ class ProgramSocket:
         except ValueError as error:
             raise Ended(f"garbage: {error}") from error
 
-    def need(self, limit: float = TIMEOUT) -> None:
+    def hold(self) -> None:
+        """The time without an acknowledgement begins anew."""
+        self._last = time.monotonic()
+
+    def need(self, limit: float) -> None:
         """To be asked while an acknowledgement is needed; raises Ended where it has taken longer than a limit [s]."""
         if time.monotonic() - self._last > limit:
             raise Ended(f"no acknowledgement for {limit:g} s")

@@ -10,9 +10,7 @@ import shutil
 import signal
 import sys
 import tempfile
-import threading
 import time
-import webbrowser
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -24,6 +22,8 @@ from typing import Any
 
 from planner.base.command_line import Command, exit_code, one_of
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.base.web.options import add_page_options, tell_address
+from planner.base.web.server import News, Server, listen
 from planner.planning.options import add_set, add_strategy
 from planner.problem import find_problem, load_problem, shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
@@ -45,7 +45,7 @@ from planner.view.machine import (
     figures_of,
     step,
 )
-from planner.view.server import News, Server, listen, snapshot
+from planner.view.server import snapshot, view_site
 from planner.view.solver import Solver
 
 # ----------------------------------------------------------------------------------------------------
@@ -134,12 +134,12 @@ async def run_view(
         came.append(number)
         over.set()
 
-    where = listen(port)
+    where = listen(port, "--port")
     with tempfile.TemporaryDirectory(prefix="beadwise-view-", ignore_cleanup_errors=True) as folder:
         for number in SIGNALS:
             loop.add_signal_handler(number, ended, number)
         runner = _Runner(subject, view, Path(folder))
-        server = Server(where, runner.news, runner.report, runner.take)
+        server = Server(where, view_site(runner.news, runner.report, runner.take))
         watching = asyncio.create_task(runner.watch())
         try:
             ready(server)
@@ -302,10 +302,8 @@ def _panes(subject: Subject, options: argparse.Namespace) -> tuple[str, ...]:
 
 def _ready(subject: Subject, browser: bool, server: Server) -> None:
     what = "results in" if subject.folder else "problem"
-    print(f"live view of {what} {subject.path}: {server.address}", flush=True)
+    tell_address(f"live view of {what} {subject.path}", server.address, server.address_once() if browser else None)
     print("Ctrl-C ends it", file=sys.stderr)
-    if browser:  # which may take its time
-        threading.Thread(target=webbrowser.open, args=(server.address_once(),), daemon=True).start()
 
 
 def view_command() -> Command:
@@ -332,15 +330,8 @@ def view_command() -> Command:
         "--beside", type=one_of(STRATEGY_NAMES), metavar="NAME", help="another strategy, in a second pane"
     )
     add_set(parser)
-    parser.add_argument("--port", type=_port, default=0, metavar="N", help="of this computer (default: a free one)")
     parser.add_argument(
         "--no-drafts", dest="drafts", action="store_false", help="no draft of one layer first where a print is large"
     )
-    parser.add_argument("--no-browser", dest="browser", action="store_false", help="only print the address")
+    add_page_options(parser, "--port")
     return parser
-
-
-def _port(text: str) -> int:
-    if not text.isdecimal() or not 0 <= int(text) <= 65535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port (1 to 65535; 0 takes a free one)")
-    return int(text)

@@ -1,7 +1,7 @@
 "use strict";
-// What the view is stands in one value that the server sends whole, whenever something changed; this draws it.
+// Draws what the server tells of the view.
 (function () {
-  const by = (id) => document.getElementById(id);
+  const { by, element } = page;
   const READY_TIME = 6000; // ms that a loaded report has to say that it is drawn, before it is shown all the same
   const PAINT_TIME = 200; // ms from being drawn to being on the screen
   const SIGNS = { verified: "✓ verified", failed: "✗ not verified", refused: "✗ no plan" };
@@ -10,19 +10,7 @@
   let touched = 0; // when the user last did something in a report
   let kept = null; // camera, time and choices, as the report told them last
 
-  function element(name, attributes, ...children) {
-    const made = document.createElement(name);
-    for (const [key, value] of Object.entries(attributes || {})) {
-      if (key in made) made[key] = value; else made.setAttribute(key, value);
-    }
-    made.append(...children);
-    return made;
-  }
-
-  function ask(order) {
-    fetch("do", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(order) })
-      .catch(() => lost());
-  }
+  const ask = (order) => page.ask(order, lost);
 
   // --- panes ---------------------------------------------------------------------------------------------
 
@@ -214,8 +202,7 @@
     by("controls").hidden = !state.solving;
     by("beside").checked = state.panes.length > 1;
     by("drafts").checked = state.drafts;
-    by("note").textContent = state.note;
-    by("note").className = "";
+    page.note(state.note, false);
     while (panes.length > state.panes.length) panes.pop().root.remove();
     while (panes.length < state.panes.length) {
       panes.push(newPane(panes.length));
@@ -225,12 +212,10 @@
     drawMessage();
     drawDifferences();
     drawHistory();
-    document.documentElement.dataset.turn = String(Number(document.documentElement.dataset.turn || 0) + 1);
   }
 
   function lost() {
-    by("note").textContent = "The view has ended, or cannot be reached: start it again with python -m planner.view";
-    by("note").className = "lost";
+    page.note("The view has ended, or cannot be reached: start it again with python -m planner.view", true);
   }
 
   by("beside").addEventListener("change", (event) => {
@@ -242,7 +227,5 @@
   by("again").addEventListener("click", () => ask({ do: "again" }));
   setInterval(() => panes.forEach(tick), 1000);
 
-  const news = new EventSource("events");
-  news.addEventListener("message", (event) => { state = JSON.parse(event.data); draw(); });
-  news.addEventListener("error", lost);
+  page.listen((told) => { state = told; draw(); }, lost);
 })();

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Complaint, InputError
 from planner.problem import Problem
+from planner.problem.clouds import read_scan
 from planner.problem.curve_files import read_curves
 from planner.problem.drawings import (
     CurvesSpec,
@@ -72,6 +73,7 @@ from planner.toolpath.substrate.falling import fallen
 from planner.toolpath.substrate.mesh_surface import FacetTree
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, Part, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
+from planner.toolpath.substrate.scan_surface import scan_surface
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.workload import check_curves
@@ -208,7 +210,7 @@ def project_curves(problem: Problem, spec: ProjectedSpec) -> Toolpath:
         if error.rough is None:
             raise error.clipped.refusal(problem, size_key(spec.source), needed) from None
         cut = "" if needed is None else f"; layers.source.leave_out_share: {share_words(needed)} cuts the curves there"
-        raise _too_rough(error.rough, partial(problem.error, "part.mesh.file"), cut) from None
+        raise _too_rough(error.rough, partial(problem.error, _file_of(problem.part)), cut) from None
     bead, body = problem.process.bead, substrate.body
     rows = rows_of_layers(curves, spec.count, problem.process.order)
     if spec.facing is not None and isinstance(body, MeshTop):
@@ -338,10 +340,22 @@ def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tu
         upper = _upper_faces(problem, part.step)
         there = _fitting(problem, upper, clipped, most)
         return _step_body(problem, part.step, upper, there), there
+    complain = partial(problem.error, _file_of(part))
+    if part.scan is not None:
+        curves = [densify(path.points) for path in clipped.paths]
+        scanned = scan_surface(part.scan, read_scan(part.scan, complain), curves, complain)
+        there = _fitting(problem, scanned.facets, clipped, most)
+        there = replace(there, told=(*there.told, scanned.words))
+        return _mesh_body(problem, None, scanned.facets, there, most)
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
-    facets = top_facets(part.mesh, partial(problem.error, "part.mesh.file"))
-    return _mesh_body(problem, part.mesh, facets, _fitting(problem, facets, clipped, most), most)
+    facets = top_facets(part.mesh, complain)
+    return _mesh_body(problem, part.mesh.smooth, facets, _fitting(problem, facets, clipped, most), most)
+
+
+def _file_of(part: PartSpec | None) -> str:
+    """The field of a part's file."""
+    return "part" if part is None else f"part.{part.body}.file"
 
 
 def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, clipped: Clipped, most: float) -> Clipped:
@@ -356,9 +370,10 @@ def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, cli
 
 
 def _mesh_body(
-    problem: Problem, spec: MeshSpec, facets: FacetTree, clipped: Clipped, most: float
+    problem: Problem, smooth: float | None, facets: FacetTree, clipped: Clipped, most: float
 ) -> tuple[MeshTop, Clipped]:
-    """The mesh with a smooth surface near paths, which are cut where edges forbid it, by a share `most` of all at most."""
+    """The mesh with a smooth surface near paths, `smooth` [m] off facets at most; they are cut where edges forbid it, by a
+    share `most` of all at most."""
     width = problem.process.bead.width
     beside = max(_FROM_EDGES * width, _LEAST_FROM_EDGES)
 
@@ -366,10 +381,10 @@ def _mesh_body(
         near = np.vstack(outline)
         reach = reach_beside(facets, near, REACH * width)
         if not cut:
-            return MeshTop.near(facets, near, reach, bound=spec.smooth)
+            return MeshTop.near(facets, near, reach, bound=smooth)
         tree = cKDTree(near)  # beyond an edge is another surface
         return MeshTop.near(
-            facets, near, min(reach, _BEFORE_EDGES * beside), lambda grid: _within(tree, grid, beside), spec.smooth
+            facets, near, min(reach, _BEFORE_EDGES * beside), lambda grid: _within(tree, grid, beside), smooth
         )
 
     outline = [densify(path.points) for path in clipped.paths]
@@ -391,7 +406,7 @@ def _mesh_body(
             return laid(outline, True), clipped
         except TooRoughMesh as error:
             last = error
-    raise _too_rough(refused, partial(problem.error, "part.mesh.file"))
+    raise _too_rough(refused, partial(problem.error, _file_of(problem.part)))
 
 
 def _within(tree: cKDTree, plane: Array, beside: float) -> Flags:

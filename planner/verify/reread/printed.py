@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
+from planner.base.geometry import angles_between
 from planner.collision.print_body import CLEARANCE, PART
 from planner.plan import Check
 from planner.problem.drawings import (
@@ -23,7 +24,7 @@ from planner.problem.drawings import (
     WrappedLayersSpec,
 )
 from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
-from planner.problem.part import PartSpec
+from planner.problem.part import PartSpec, ScanSpec
 from planner.verify.checks import EVERYWHERE, Findings, Judged, lines_around
 from planner.verify.reread.core import core
 from planner.verify.reread.faces import faces
@@ -41,6 +42,7 @@ from planner.verify.reread.places import (
     Places,
     begun_layers,
     between,
+    beyond_limits,
     by_number,
     may_be_left,
     places_of,
@@ -48,12 +50,15 @@ from planner.verify.reread.places import (
 )
 from planner.verify.reread.plane_curves import NotRead, read_again
 from planner.verify.reread.points import distances_from, dots_along, segments_of
+from planner.verify.reread.scan import sheets_at
 from planner.verify.reread.skirt import skirt
 from planner.verify.reread.slopes import axis_along, normals_over, off_facets
 from planner.verify.reread.volume import volume
 from planner.verify.reread.wing import wing
 from planner.verify.scanned import asked_height
 
+OFF_SCAN = 0.05e-3  # m by which beads may lie off a scan's points, beyond what these are unsure of
+TURNED_SCAN = np.radians(1.0)  # likewise of normals
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
@@ -128,6 +133,8 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
         lean = np.arccos(np.clip((normal * places.up).sum(axis=1), -1.0, 1.0))
         most = np.degrees(judged.problem.process.cones.tilt + AXIS)
         yield worst_of(judged, places, NORMAL, np.degrees(lean), most, "deg")
+    elif part.scan is not None:
+        yield from _on_the_scan(judged, places, part.scan, along_z)
     elif part.mesh is not None:
         some = places.few(_SEEN)
         height = np.asarray((some.layer + 1.0) * layers.height, dtype=float)
@@ -143,6 +150,24 @@ def _on_the_part(judged: Judged, places: Places) -> Iterator[Check]:
         foot = some.tip[:, :2] - (0.0 if along_z else height[:, None] * some.up[:, :2])
         facets = facets_of(part.mesh)
         yield axis_along(judged, some, normals_over(lambda plane: facets.top(plane)[0], foot))
+
+
+def _on_the_scan(judged: Judged, places: Places, scan: ScanSpec, along_z: bool) -> Iterator[Check]:
+    """The same of a scan: within what sheets through its own points say, as surely as these do."""
+    layers = judged.problem.layers
+    if not isinstance(layers, ProjectedLayersSpec):
+        return
+    some = places.few(_SEEN)
+    rise = np.asarray((some.layer + 1.0) * layers.height, dtype=float)
+    way = np.broadcast_to([0.0, 0.0, 1.0], some.up.shape) if along_z else some.up
+    foot = some.tip - rise[:, None] * way
+    sheet = sheets_at(scan, foot[:, :2])
+    off = np.abs((foot[:, 2] - sheet.z) * sheet.normals[:, 2])
+    beyond = np.maximum(off - _BENT * rise - sheet.unsure, 0.0)
+    yield worst_of(judged, some, ON_PART, beyond * 1e3, (OFF_SCAN + OFF_LEVEL) * 1e3, "mm")
+    lean = angles_between(sheet.normals, some.up)
+    limits = judged.problem.process.cones.tilt + AXIS + TURNED_SCAN + sheet.turn
+    yield beyond_limits(judged, some, NORMAL, np.degrees(lean), np.degrees(limits), "deg")
 
 
 def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:

@@ -1,4 +1,4 @@
-"""Clouds of points of a print, from files of scanners, brought into the part frame: PLY, text, NumPy.
+"""Clouds of points from files of scanners: PLY, text, NumPy; and scans of parts, which may be facets, too.
 
 Text has a point a line, x y z first or in columns that a header names (x, or x_mm, or x_m); between numbers stand blanks,
 commas, semicolons or tabs. Arrays are (n, 3) or wider, or x, y, z, or points.
@@ -9,22 +9,25 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_bytes, read_text
-from planner.cell.cell import Cell
+from planner.problem.mesh_files import GREATEST, SMALLEST, read_corners
+from planner.problem.mesh_files import SUFFIXES as MESHES
+from planner.problem.part import UNITS, ScanSpec
 
-UNITS = {"mm": 1e-3, "m": 1.0}
-FRAMES = ("part", "plate", "world")
 SUFFIXES = (".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz", ".npy")
 LARGEST_FILE = 500_000_000  # bytes: some ten million points of text
 FARTHEST = 1e9  # of a coordinate, in any unit
+_HEAD = 65_536  # bytes of a PLY file in which its elements are announced
 FEWEST, MOST = 200, 20_000_000  # points: fewer tell of no layer, more take more memory than there may be
 _COLUMN = re.compile(r"([xyz])(?:[_\[( ]*(mm|m)[\])]?)?", re.IGNORECASE)
 _COMMENTS = ("#", "//", "%")
@@ -32,11 +35,11 @@ _UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFE
                MemoryError, zipfile.BadZipFile)  # fmt: skip
 
 
-def read_cloud(path: Path, unit: str | None = None) -> Array:
+def read_cloud(path: Path, unit: str | None = None, option: str = "--unit") -> Array:
     """The points (n, 3) [m] of a file in the frame that it has; unit of UNITS, mm where neither it nor the file says one.
 
-    Raises InputError with file and line for what cannot be read, for numbers that are not finite, for too few points or too
-    many, and for two units.
+    option: where the unit is given. Raises InputError with file and line for what cannot be read, for numbers that are not
+    finite, for too few points or too many, and for two units.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
@@ -52,7 +55,7 @@ def read_cloud(path: Path, unit: str | None = None) -> Array:
     else:
         points, told = _text(path, complain)
     if unit is not None and told is not None and unit != told:
-        raise complain(f"its header says {told}, and --unit {unit}", hint="leave --unit out")
+        raise complain(f"its header says {told}, and {option} {unit}", hint=f"leave {option} out")
     if not FEWEST <= len(points) <= MOST:
         raise complain(f"holds {len(points)} points", hint=f"{FEWEST} to {MOST:,}")
     finite = (np.abs(points) < FARTHEST).all(axis=1)
@@ -62,20 +65,41 @@ def read_cloud(path: Path, unit: str | None = None) -> Array:
             f"{count} of its {len(points)} points are not finite, or endlessly far away, the first is number {first}"
         )
         raise complain(reason, hint="leave them out")
-    return points * UNITS[unit or told or "mm"]
+    return points * (UNITS[unit or told or "mm"] * 1e-3)
 
 
-def in_part_frame(points: Array, frame: str, cell: Cell) -> Array:
-    """Points (n, 3) [m] of a frame of FRAMES in the part frame: its own (the work object of programs), that of the plate
-    which carries it, or the world of a part on a fixed bed. Raises InputError for the world of a part that a positioner
-    turns."""
-    if frame == "part":
-        return points
-    if frame == "world" and cell.holder_robot is not None:
-        hint = "scan it in the frame of its plate (--frame plate), or of the part"
-        raise InputError("the world does not tell where a part is that a positioner turns", field="--frame", hint=hint)
-    T = cell.T_plate_part if frame == "plate" and cell.holder_robot is not None else cell.T_world_holder
-    return np.asarray((points - T[:3, 3]) @ T[:3, :3])
+def read_scan(spec: ScanSpec, where: Complaint) -> Array:
+    """Points (n, 3) [m] of a scanned part in the part frame; of a file of facets the corners of those that face upwards.
+
+    Raises InputError for what cannot be read, and of `where` for a scan that is too small or too large to be a part.
+    """
+    if spec.file.suffix.lower() in MESHES and not (spec.file.suffix.lower() == ".ply" and not _has_facets(spec.file)):
+        corners = read_corners(spec.file, where, spec.unit, spec.scale)
+        turned = Rotation.from_euler("xyz", spec.rpy).apply(corners.reshape(-1, 3)).reshape(-1, 3, 3)
+        up = np.cross(turned[:, 1] - turned[:, 0], turned[:, 2] - turned[:, 0])[:, 2] > 0.0
+        points = np.unique(turned[up].reshape(-1, 3), axis=0)
+        if len(points) < FEWEST:
+            raise where(f"{spec.file.name} has {len(points)} corners of facets that face upwards", hint=_TURN)
+    else:
+        points = read_cloud(spec.file, spec.unit, "unit") * spec.scale
+        points = Rotation.from_euler("xyz", spec.rpy).apply(points)
+    across = float(np.ptp(points, axis=0).max()) * 1e3
+    if not SMALLEST <= across <= GREATEST:
+        sizes = {name: across * mm / UNITS[spec.unit or "mm"] for name, mm in UNITS.items()}
+        likely = [f"unit: {name} makes it {size:.4g} mm" for name, size in sizes.items() if 20.0 <= size <= 2000.0]
+        raise where(f"{spec.file.name} is {across:.4g} mm across", hint="; ".join([*likely, "or give scale"]))
+    return np.asarray(points + np.asarray(spec.origin))
+
+
+_TURN = f"at least {FEWEST}; turn it with rpy_deg until what is printed on faces upwards"
+
+
+def _has_facets(path: Path) -> bool:
+    """Whether a PLY file announces facets."""
+    with suppress(OSError), path.open("rb") as stream:
+        found = re.search(rb"^element\s+face\s+(\d+)", stream.read(_HEAD), re.MULTILINE)
+        return found is not None and int(found[1]) > 0
+    return False
 
 
 def _ply(path: Path, complain: Complaint) -> Array:

@@ -1,4 +1,4 @@
-"""Who is let into the view: words of its addresses, exchanged for a browser's session."""
+"""Who is let in to a page: words of its addresses, exchanged for a browser's session."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Code:
 class Door:
     """Words that let a browser in, and the sessions that it gets for them; times [s] are of a steady clock.
 
-    key   lasts as long as the view: for the terminal, and never in the arguments of a program, which all users of a
+    key   lasts as long as the page: for the terminal, and never in the arguments of a program, which all users of a
           computer can read
     code  is taken once and for a short time: for the browser's argument
     """

@@ -1,0 +1,117 @@
+"""What users are told of a run: how far it is, while it lasts, and how it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from planner.link.program_lines import NO_BEAD, ProgramLines
+from planner.link.relay import STANDING, RelayState, RunOutcome, RunStatus
+
+SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
+
+
+@dataclass(frozen=True)
+class RunProgress:
+    """How far a run is: its status, the share of the planned time that is over, and the time that is left [s]."""
+
+    status: RunStatus
+    share: float
+    left: float
+
+
+class Show:
+    """A bar with bead, layer, line and time left; no bar where the console is None. `also` is told the same."""
+
+    def __init__(self, lines: ProgramLines, console: Console | None, also: Callable[[RunProgress], None]) -> None:
+        self._lines, self._also = lines, also
+        self._first: float | None = None  # when the first line was acknowledged [s of a steady clock]
+        self._stood, self._last = 0.0, time.monotonic()  # how long it was paused, and when it was shown last [s]
+        self._progress = None if console is None else Progress(
+            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+            TextColumn("{task.fields[left]}"), console=console, auto_refresh=False,
+        )  # fmt: skip
+        self._bar = None if self._progress is None else self._progress.add_task("waiting", total=1.0, left="")
+
+    def __enter__(self) -> Show:
+        if self._progress is not None:
+            self._progress.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._progress is not None:
+            self._progress.stop()
+
+    def __call__(self, status: RunStatus) -> None:
+        """Draw how far the run is."""
+        now = time.monotonic()
+        if status.state in STANDING:
+            self._stood += now - self._last
+        self._last = now
+        if not status.acknowledged:
+            self._also(RunProgress(status, 0.0, self._lines[len(self._lines)].t))
+            return
+        if self._first is None:
+            self._first, self._stood = now, 0.0
+        share, left = progress(self._lines, status.acknowledged, now - self._first - self._stood)
+        self._also(RunProgress(status, share, left))
+        if self._progress is None or self._bar is None:
+            return
+        words = f"{place(self._lines, status.acknowledged)}, line {status.acknowledged} of {len(self._lines)}"
+        if status.state is not RelayState.RUNNING:
+            words = f"{status.state.value}: {words}"
+        self._progress.update(self._bar, completed=share, description=words, left=f"{duration(left)} left")
+        self._progress.refresh()
+
+
+def progress(lines: ProgramLines, acknowledged: int, since: float) -> tuple[float, float]:
+    """Share of the planned time that is over, and the time that the rest takes [s] at the pace so far.
+
+    since  time from the first ack, without pauses [s]
+    """
+    first, last, here = lines[1].t, lines[len(lines)].t, lines[acknowledged].t
+    if acknowledged == len(lines) or last <= first:
+        return acknowledged / len(lines), 0.0
+    pace = since / (here - first) if here - first >= SETTLED and since > 0.0 else 1.0
+    return (here - first) / (last - first), (last - here) * pace
+
+
+def place(lines: ProgramLines, n: int) -> str:
+    """Bead and layer of a line in words, numbered as everywhere; of the one before where it belongs to no bead."""
+    line = next((lines[k] for k in range(n, 0, -1) if lines[k].bead != NO_BEAD), None)
+    return "before the first bead" if line is None else f"bead {line.bead}, layer {line.layer}"
+
+
+def duration(seconds: float) -> str:
+    """A time as 1:02:03 or 2:03."""
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
+
+
+def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
+    """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
+    total, n = len(lines), outcome.position.n
+    if outcome.reason is None:
+        return [f"done: all {total} lines were acknowledged"]
+    where = f"last acknowledged line {n} of {total} ({place(lines, n)})" if n else "no line was acknowledged"
+    out = [f"stopped: {outcome.reason}; {where}"]
+    if outcome.sent > n:
+        out.append(f"line {outcome.sent} ({lines[outcome.sent].text}) went to the board, which may have carried it out")
+    if not outcome.safe:
+        out.append(
+            "the board did not confirm that it is safe: look at its heaters, its cutter, and what it still extrudes"
+        )
+    resume = outcome.position.resume
+    if resume is None:
+        return [*out, "all beads were printed"]
+    return [
+        *out,
+        f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
+    ]

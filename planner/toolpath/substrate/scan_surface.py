@@ -1,0 +1,169 @@
+"""A scanned part: a smooth surface through points with noise, as stiff as the points that it was not made of allow.
+
+Heights over x and y are fitted by a spline, with ever more knots; half of the points tell which number of knots foretells the
+other half best. Fewer leave shape out, more repeat noise. The surface is cut into facets where there are points, and is a
+mesh from there on. Lengths are metres in the part frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Flags
+from planner.base.errors import Complaint
+from planner.problem.part import ScanSpec
+from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+
+BESIDE = 10e-3  # m beside curves within which points count
+KNOTS = (4, 8, 16, 32, 64)  # of the surface along the longer side of what is covered
+_BINS = 240  # along that side: points in one bin count as their mean
+_FACETS, _LEAST_FACET = 300, 0.5e-3  # facets along that side, and m, the least of a facet
+_LOOKED = 200_000  # points by which the number of knots is chosen
+_BETTER = 0.998  # times the error of what is foretold: else twice the knots are no better
+_WORSE = 2  # times in a row that more knots foretell no better, after which no more are tried
+_NEAREST = 16  # points by which it is told how dense they are
+_HOLE, _LEAST_HOLE = 5.0, 2e-3  # usual distances of points, and m: no random points leave so wide a gap
+_GRID = 400  # along the longer side of the scan, by which holes are looked for
+FEWEST = 200  # points near the curves
+
+
+@dataclass(frozen=True)
+class ScanSurface:
+    """The smooth surface of a scan near curves, as facets, and how far the points are off it.
+
+    most, rms  of the points' distances from it [m];  count of these points;  apart: distance of its knots [m]
+    """
+
+    facets: FacetTree
+    field: HeightField
+    most: float
+    rms: float
+    count: int
+    apart: float
+
+    @property
+    def words(self) -> str:
+        """What is to be told of it."""
+        return (
+            f"part.scan: a smooth surface through {self.count} points near the curves, which are {self.most * 1e3:.3f} mm off "
+            f"it at most, {self.rms * 1e3:.3f} mm root mean square; its knots are {self.apart * 1e3:.1f} mm apart"
+        )
+
+
+def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], where: Complaint) -> ScanSurface:
+    """The surface of points (n, 3) near curves, each of points x, y (k, 2).
+
+    Raises the InputError of `where` for holes under the curves, and for points that are farther off than the noise.
+    """
+    plane = np.vstack(curves)
+    usual = _usual_distance(points)
+    hole = spec.hole or max(_HOLE * usual, _LEAST_HOLE)
+    _check_holes(spec, points, plane, hole, where)
+    low, high = plane.min(axis=0) - BESIDE, plane.max(axis=0) + BESIDE
+    near = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
+    if len(near) < FEWEST:
+        lowest, highest = points.min(axis=0) * 1e3, points.max(axis=0) * 1e3
+        spans = ", ".join(f"{axis} {a:.1f} to {b:.1f}" for axis, a, b in zip("xyz", lowest, highest, strict=True))
+        raise where(
+            f"{spec.file.name} has {len(near)} points under the curves", hint=f"at least {FEWEST}; it spans {spans} mm"
+        )
+    low, high = np.maximum(low, near[:, :2].min(axis=0)), np.minimum(high, near[:, :2].max(axis=0))
+    side = float((high - low).max())
+    apart = _knots_apart(near, low, high, side)
+    field = _fitted(near, low, high, side, apart)
+    off = _off(field, near)
+    worst = int(np.argmax(np.abs(off)))
+    most = float(np.abs(off[worst]))
+    if most > spec.noise:
+        x, y = near[worst, :2] * 1e3
+        raise where(
+            f"a point of {spec.file.name} is {most * 1e3:.3f} mm off the smooth surface at x {x:.1f}, y {y:.1f} mm, and "
+            f"noise_mm allows {spec.noise * 1e3:g}",
+            hint=f"there is a step, or a stray point: clean the scan; or noise_mm: {np.ceil(most * 1e5) / 100:.2f}",
+        )
+    tree = _facets(field, near, low, high, side, hole)
+    return ScanSurface(tree, field, most, float(np.sqrt(np.mean(off**2))), len(near), apart)
+
+
+def _usual_distance(points: Array) -> float:
+    """How far points are apart where they are as dense as usual, seen from above [m]."""
+    some = points[:: max(len(points) // _LOOKED, 1), :2]
+    away = cKDTree(points[:, :2]).query(some, k=_NEAREST + 1)[0][:, -1]
+    return float(np.median(away) * np.sqrt(np.pi / _NEAREST))
+
+
+def _check_holes(spec: ScanSpec, points: Array, plane: Array, hole: float, where: Complaint) -> None:
+    """Raise where a curve passes a place without points that lies within the scan, not beside it."""
+    tree = cKDTree(points[:, :2])
+    away = tree.query(plane)[0]
+    bare = np.flatnonzero(away > 0.5 * hole)
+    if not len(bare):
+        return
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    step = max(float((high - low).max()) / _GRID, 0.25 * hole)
+    axes = [np.arange(a - 2.0 * step, b + 3.0 * step, step) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    empty = tree.query(grid.reshape(-1, 2))[0].reshape(grid.shape[:2]) > 0.5 * hole
+    region, _ = ndimage.label(empty)
+    outside = region[0, 0]
+    cell = np.rint((plane[bare] - [axes[0][0], axes[1][0]]) / step).astype(int)
+    there = (cell >= 0).all(axis=1) & (cell < np.array(empty.shape)).all(axis=1)
+    found = np.where(there, region[tuple(np.where(there[:, None], cell, 0).T)], outside)
+    inside = bare[(found != outside) & (found != 0)]
+    if len(inside):
+        worst = inside[np.argmax(away[inside])]
+        x, y = plane[worst] * 1e3
+        raise where(
+            f"{spec.file.name} has a hole under the curves: no point within {away[worst] * 1e3:.1f} mm of x {x:.1f}, y {y:.1f} mm",
+            hint=f"scan that place again, or keep off it; holes up to hole_mm ({hole * 1e3:.1f}) wide are bridged",
+        )
+
+
+def _knots_apart(points: Array, low: Array, high: Array, side: float) -> float:
+    """The distance of knots [m] with which half of the points foretells the other half best."""
+    order = np.random.default_rng(0).permutation(len(points))[: 2 * _LOOKED]
+    made, held = points[order[::2]], points[order[1::2]]
+    best, least, worse = KNOTS[0], np.inf, 0
+    for knots in KNOTS:
+        if knots > KNOTS[0] and (side / knots) ** 2 * len(made) < 4.0 * side * float((high - low).min()):
+            break  # fewer than four points for each knot
+        error = float(np.sqrt(np.mean(_off(_fitted(made, low, high, side, side / knots), held) ** 2)))
+        if error < _BETTER * least:
+            best, least, worse = knots, error, 0
+        elif (worse := worse + 1) == _WORSE:
+            break
+    return side / best
+
+
+def _fitted(points: Array, low: Array, high: Array, side: float, apart: float) -> HeightField:
+    """The spline with knots so far `apart` [m] that is nearest to points (n, 3); those of one bin count as their mean."""
+    step = side / _BINS
+    cell = np.floor((points[:, :2] - low) / step).astype(np.int64)
+    _, which = np.unique(cell[:, 0] * (2 * _BINS) + cell[:, 1], return_inverse=True)
+    count = np.bincount(which).astype(float)
+    means = np.column_stack([np.bincount(which, points[:, k]) / count for k in range(3)])
+    return fit(means, count, low, high, apart)
+
+
+def _off(field: HeightField, points: Array) -> Array:
+    """How far points (n, 3) lie above the surface, square to it (n) [m]."""
+    foot, normals = field.at(points[:, :2])
+    return np.asarray((points[:, 2] - foot[:, 2]) * normals[:, 2])
+
+
+def _facets(field: HeightField, points: Array, low: Array, high: Array, side: float, hole: float) -> FacetTree:
+    """The surface as facets, where there are points."""
+    step = max(side / _FACETS, _LEAST_FACET)
+    counts = [max(int(np.ceil(length / step)), 1) + 1 for length in high - low]
+    axes = [np.linspace(a, b, n) for a, b, n in zip(low, high, counts, strict=True)]
+    plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    known: Flags = cKDTree(points[:, :2]).query(plane.reshape(-1, 2))[0].reshape(counts) <= 0.5 * hole
+    place = field.at(plane.reshape(-1, 2))[0].reshape(*counts, 3)
+    a, b, c, d = place[:-1, :-1], place[1:, :-1], place[1:, 1:], place[:-1, 1:]
+    whole = known[:-1, :-1] & known[1:, :-1] & known[1:, 1:] & known[:-1, 1:]
+    return FacetTree.of(np.concatenate([np.stack(each, axis=2)[whole] for each in ((a, b, c), (a, c, d))]))
