@@ -53,9 +53,11 @@ def test_every_command_is_listed() -> None:
             can.add(".".join(path.relative_to(ROOT / "planner").with_suffix("").parts).removesuffix(".__main__"))
     assert known <= can
     assert can - known == {
+        "problem.cad_curves",
         "problem.cad_facets",
         "report.picture",
         "toolpath.step.reader",
+        "verify.reread.curve_process",
         "verify.reread.step_process",
         "view.child",
     }  # not typed by users

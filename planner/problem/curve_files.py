@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from planner.base.errors import Complaint, InputError
+from planner.problem.cad_files import IGES_ENDINGS, STEP_ENDINGS, asked, check_step
 from planner.problem.drawings import CurveListSpec, CurveSpec
 from planner.problem.problem import first_mistake
 from planner.problem.yaml_file import LARGEST_FILE, ValueSources, parse_yaml
 
+_CURVES = "planner.problem.cad_curves"
+
 
 def read_curves(path: Path, where: Complaint) -> tuple[CurveSpec, ...]:
-    """The curves of a file, `{"curves": [{"degree": 2, "points_mm": [...]}, ...]}`, in its order.
+    """The curves of a file, in its order: `{"curves": [{"degree": 2, "points_mm": [...]}, ...]}`, or those of STEP or IGES that
+    bound no face.
 
     Raises InputError with the file's line for what is wrong in it, and made by `where(reason, hint=...)` for a file that
     cannot be read.
     """
+    if path.suffix.lower() in (*STEP_ENDINGS, *IGES_ENDINGS):
+        return _listed(_of_cad(path, where), ValueSources(path, {}))
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -37,8 +44,26 @@ def read_curves(path: Path, where: Complaint) -> tuple[CurveSpec, ...]:
     if not isinstance(data, dict):
         hint = 'for example {"curves": [{"degree": 2, "points_mm": [[0, 0, 0], [10, 5, 0], [20, 0, 5]]}]}'
         raise complain("has no list of curves", 1, hint)
-    source = ValueSources(path, lines)
+    return _listed(data, ValueSources(path, lines))
+
+
+def _listed(data: dict[str, Any], source: ValueSources) -> tuple[CurveSpec, ...]:
     try:
         return CurveListSpec.model_validate(data, context=source).curves
     except ValidationError as error:
         raise first_mistake(error.errors(include_url=False), source, CurveListSpec) from None
+
+
+def _of_cad(path: Path, where: Complaint) -> dict[str, Any]:
+    """What stands in a STEP or IGES file, as a file of curves would have it."""
+    check_step(path, where)
+    found = asked(_CURVES, {"file": str(path.resolve())}, path.name, where)
+    if "reason" in found:
+        raise where(str(found["reason"]), hint=str(found["hint"]))
+    curves = []
+    for k in range(int(found["curves"])):
+        points, weights, knots = (found[f"{k}.{key}"].tolist() for key in ("points", "weights", "knots"))
+        degree = int(found[f"{k}.degree"])
+        curve = {"degree": degree, "points_mm": tuple(map(tuple, points))}
+        curves.append(curve | {"weights": tuple(weights), "knots": tuple(knots)})
+    return {"curves": tuple(curves)}

@@ -321,7 +321,9 @@ class NurbsSpec(SourceSection):
     """Curves in a file that become beads, in one plane or in space."""
 
     nurbs: Annotated[Path, PATH] = key(
-        "nurbs", "JSON file with a list `curves` of NURBS curves, counted from the folder of the problem file"
+        "nurbs",
+        "file of curves, counted from the folder of the problem file: JSON with a list `curves` of NURBS curves; or STEP or "
+        "IGES, whose lines, arcs and splines that bound no face are taken",
     )
     crumbs: Crumbs = crumbs_key(_CURVES)
 

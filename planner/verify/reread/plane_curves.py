@@ -7,6 +7,7 @@ nothing here knows how the planner reads them. Lengths are metres; x to the righ
 from __future__ import annotations
 
 import json
+import subprocess
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.isolated import ask
+from planner.problem.cad_files import is_cad, is_iges
 from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec, SvgSpec
 
 _STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
@@ -25,6 +28,7 @@ _HIDDEN = ("<clippath", "<mask", ":clippath", ":mask")  # what svgelements does 
 _INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
 _LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
+_LONGEST = 300  # s that Open CASCADE may take
 _ROOM = 1e-9  # m: a cell that just fits, fits
 
 Curves = tuple[Array, ...]
@@ -222,7 +226,9 @@ _PATTERNS: dict[str, Callable[[PatternSpec], Curves]] = {
 
 
 def _nurbs_file(path: Path) -> Curves | NotRead:
-    """The curves of a JSON file, by Python's own reader."""
+    """The curves of a JSON file, by Python's own reader, or of a STEP or IGES file, as Open CASCADE divides them."""
+    if path.suffix.lower() != ".json" and is_cad(path, path.read_bytes()):
+        return _cad_file(path)
     try:
         listed = json.loads(path.read_text(encoding="utf-8-sig"))["curves"]
         return tuple(
@@ -231,6 +237,17 @@ def _nurbs_file(path: Path) -> Curves | NotRead:
         )
     except (KeyError, TypeError, ValueError) as error:
         return NotRead(f"{path.name} holds no curves: {error}")
+
+
+def _cad_file(path: Path) -> Curves | NotRead:
+    request = {"file": str(path.resolve()), "iges": is_iges(path.read_bytes())}
+    try:
+        found = ask("planner.verify.reread.curve_process", request, _LONGEST)
+    except subprocess.TimeoutExpired:
+        found = None
+    if found is None or "reason" in found:
+        return NotRead(f"{path.name}: {'it cannot be read' if found is None else found['reason']}")
+    return tuple(found[str(k)] * 1e-3 for k in range(len(found)))
 
 
 def _nurbs(p: int, points: Array, given: Sequence[float] | None, breaks: Sequence[float] | None) -> Array:

@@ -1,0 +1,116 @@
+"""Curves of a STEP or IGES file as B-splines, by Open CASCADE: lines, arcs and splines that bound no face.
+
+It runs as a process of its own (`curve_files.py`): a damaged file can end it at any place, without a word.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from OCP.BRep import BRep_Tool
+from OCP.BRepAdaptor import BRepAdaptor_Curve
+from OCP.Geom import Geom_TrimmedCurve
+from OCP.GeomConvert import GeomConvert, GeomConvert_CompCurveToBSplineCurve
+from OCP.IFSelect import IFSelect_ReturnStatus
+from OCP.IGESControl import IGESControl_Reader
+from OCP.Message import Message
+from OCP.Standard import Standard_Failure
+from OCP.STEPControl import STEPControl_Reader
+from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+from OCP.TopExp import TopExp_Explorer
+from OCP.TopoDS import TopoDS
+
+from planner.base.arrays import Array
+from planner.base.isolated import answer
+from planner.problem.cad_files import is_iges
+
+MEETS = 1e-3  # mm between the ends of an edge and of the next one: they are one curve
+_REPAIR = "repair it in a CAD program, and export it anew"
+_EXPORT = "export the curves themselves: edges of a body are none of their own"
+
+
+def curves(request: dict[str, Any]) -> dict[str, Any]:
+    """Of curve k `k.degree`, `k.points` (n, 3) [mm], `k.weights` (n) and `k.knots`, in the file's order; `curves`, how many; or why
+    there are none. Edges of which each goes on where the one before it ends are one curve."""
+    name = Path(request["file"]).name
+    messages = Message.DefaultMessenger_s()
+    for printer in list(messages.Printers()):
+        messages.RemovePrinter(printer)
+    reader = IGESControl_Reader() if is_iges(Path(request["file"]).read_bytes()) else STEPControl_Reader()
+    try:
+        if reader.ReadFile(request["file"]) != IFSelect_ReturnStatus.IFSelect_RetDone:
+            return {"reason": f"{name} is damaged", "hint": _REPAIR}
+        reader.TransferRoots()
+        found = _edges(reader.OneShape()) if reader.NbShapes() else []
+        if not found:
+            return {"reason": f"{name} holds no curve that bounds no face", "hint": _EXPORT}
+        joined = _joined(found)
+    except Standard_Failure as error:
+        return {"reason": f"{name} is damaged: {error}", "hint": _REPAIR}
+    out: dict[str, Any] = {"curves": len(joined)}
+    for k, curve in enumerate(joined):
+        out |= {f"{k}.{key}": value for key, value in _arrays(curve).items()}
+    return out
+
+
+def _edges(shape: Any) -> list[Any]:
+    """The B-spline curves of all edges that bound no face, each in its own direction."""
+    out = []
+    walk = TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE)
+    while walk.More():
+        edge = TopoDS.Edge(walk.Current())
+        walk.Next()
+        if BRep_Tool.Degenerated_s(edge):
+            continue
+        ends = BRepAdaptor_Curve(edge)
+        whole = BRep_Tool.Curve_s(edge, 0.0, 1.0)
+        curve = GeomConvert.CurveToBSplineCurve_s(Geom_TrimmedCurve(whole, ends.FirstParameter(), ends.LastParameter()))
+        if curve.IsPeriodic():
+            curve.SetNotPeriodic()
+        if edge.Orientation() == TopAbs_Orientation.TopAbs_REVERSED:
+            curve.Reverse()
+        out.append(curve)
+    return out
+
+
+def _joined(edges: list[Any]) -> list[Any]:
+    """Edges that follow one another as one curve each; files tell hardly ever which way they run."""
+    out: list[Any] = []
+    alone = False  # the last curve is a single edge, and may be turned round
+    for edge in edges:
+        if out and not out[-1].IsClosed():
+            last = out[-1]
+            if alone and not _meet(last.EndPoint(), edge) and _meet(last.StartPoint(), edge):
+                last.Reverse()
+            if _meet(last.EndPoint(), edge):
+                if last.EndPoint().Distance(edge.StartPoint()) > MEETS:
+                    edge.Reverse()
+                chain = GeomConvert_CompCurveToBSplineCurve(last)
+                if chain.Add(edge, MEETS, True):
+                    out[-1], alone = chain.BSplineCurve(), False
+                    continue
+        out.append(edge)
+        alone = True
+    return out
+
+
+def _meet(place: Any, edge: Any) -> bool:
+    return min(place.Distance(edge.StartPoint()), place.Distance(edge.EndPoint())) <= MEETS
+
+
+def _arrays(curve: Any) -> dict[str, Array | int]:
+    poles = [curve.Pole(i) for i in range(1, curve.NbPoles() + 1)]
+    knots = curve.KnotSequence()
+    return {
+        "degree": curve.Degree(),
+        "points": np.array([(p.X(), p.Y(), p.Z()) for p in poles]),
+        "weights": np.array([curve.Weight(i) for i in range(1, curve.NbPoles() + 1)]),
+        "knots": np.array([knots.Value(i) for i in range(knots.Lower(), knots.Upper() + 1)]),
+    }
+
+
+if __name__ == "__main__":
+    sys.exit(answer(curves))
