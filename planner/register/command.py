@@ -72,12 +72,12 @@ def _run(options: argparse.Namespace) -> int:
 
 def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
     """Place table and cylinder by the published equation."""
-    table, placement = as_published(scene, options.contacts)
-    changes = changes_of(scene.problem, placement, scene.start, ("x", "y"))
+    found = as_published(scene, options.contacts)
+    changes = changes_of(scene.problem, found.placement, scene.start, ("x", "y"))
     write_changed(scene.problem, changes, target)
     load_problem(target)
-    print("\n".join([*published_lines(table, changes), f"written to {target}"]))
-    return EXIT_VERIFIED if table.cost <= options.tolerance else EXIT_NOT_VERIFIED
+    print("\n".join([*published_lines(found, changes), f"written to {target}"]))
+    return EXIT_VERIFIED if found.off <= options.tolerance else EXIT_NOT_VERIFIED
 
 
 def _suggest(options: argparse.Namespace) -> int:

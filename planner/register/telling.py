@@ -19,8 +19,7 @@ from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.problem import Problem
 from planner.problem.rewrite import Value
-from planner.register.contacts import Turntable
-from planner.register.finding import MISFIT, Registration, Scene
+from planner.register.finding import MISFIT, Published, Registration, Scene
 from planner.register.fitting import Placement
 from planner.register.places import TouchPlaces
 
@@ -187,13 +186,17 @@ def lines_of(
     return out
 
 
-def published_lines(table: Turntable, changes: Mapping[str, Value]) -> list[str]:
-    """What eq. (1) of Pollard et al. says, contact by contact."""
+def published_lines(found: Published, changes: Mapping[str, Value]) -> list[str]:
+    """What eq. (1) of Pollard et al. says, contact by contact, and what is written."""
+    table, settled = found.table, found.settled
     off = np.linalg.norm(table.off, axis=1) * 1e3
+    mark = np.where(found.right, "", "  outlier")
+    moved = _numbers(np.linalg.norm([settled.axis - table.axis, settled.cylinder - table.cylinder], axis=1) * 1e3, 3)
     return [
         "contact      off mm",
-        *(f"{i:<10} {each:+9.3f}" for i, each in enumerate(off, 1)),
+        *(f"{i:<10} {each:+9.3f}{mark[i - 1]}" for i, each in enumerate(off, 1)),
         f"Pollard's eq. (1), sum of absolute differences: {table.cost * 1e3:.3f} mm off on average",
+        f"least squares over the contacts that it fits: table and cylinder {moved} mm from there",
         *(f"found {field}: {value}" for field, value in changes.items()),
         "how sure the nozzle's height is, this does not tell; leave out --published for contacts from all sides",
     ]
