@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -185,14 +185,19 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     touch = Touch(scene.surface, scene.tangents, contacts, unknowns, ask.ball)
     found = fit(touch, scene.start, ask.noise)
     _fits(scene, readings, found, ask)
-    held = _determined(scene, found, plates)
+    return replace(judged(scene, ask, found), turntable=_turntable(scene, contacts))
+
+
+def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
+    """A fit with what it leaves free and how sure it is. Raises InputError where the nozzle's height depends on that."""
+    plates = _plates(scene, ask, found.touch.contacts)
     return Registration(
         scene=scene,
         ask=ask,
         fit=found,
-        held=tuple(held),
+        held=tuple(_determined(scene, found, plates)),
         uncertainty=uncertainty_of(found, scene.waypoints, plates, ask.noise),
-        turntable=_turntable(scene, contacts),
+        turntable=None,
     )
 
 
