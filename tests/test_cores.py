@@ -91,11 +91,11 @@ def test_beads_lie_on_the_true_surfaces(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "size"), [("aerofoil_core", (70.0, 100.0)), ("aerofoil_core_tapered", (100.0, 88.0))])
 def test_what_ships_has_the_papers_extent(name: str, size: tuple[float, float]) -> None:
-    """Beads come to both ends of the span, and along the chord to where the core is too thin or too steep."""
+    """Whole cells of 8 mm come to both ends of the span, and along the chord to where the core is too thin or too steep."""
     toolpath = build_toolpath(load_problem(name))
     points = np.vstack([bead.points for bead in toolpath.beads]) * 1e3
     span, chord = np.ptp(points[:, :2], axis=0)
-    assert size[0] - 2.0 <= span <= size[0] + 1e-6
+    assert size[0] - 1.1 * 8.0 <= span <= size[0]
     assert 0.85 * size[1] <= chord <= size[1]
     assert toolpath.layers == {"aerofoil_core": 40, "aerofoil_core_tapered": 28}[name]
 
