@@ -48,7 +48,7 @@ PRINTS: dict[str, tuple[str, ...]] = {
     "cylinder_logo": ("layers.count=1",),
     "hemisphere_honeycomb": ("layers.count=1",),
     "naca0015_wing": ("layers.count=1", *ONE_NOZZLE),
-    "aerofoil_core": ("layers.count=1",),
+    "aerofoil_core": ("layers.count=1", "layers.source.size_mm=[30, 99]"),
     "curved_plate": (),
     "planar_gcode": (),
 }

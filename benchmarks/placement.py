@@ -35,7 +35,7 @@ PROBLEMS = {
     "fibre_plane": [],
     "cylinder_logo": ["layers.count=1"],
     "curved_plate": [],
-    "aerofoil_core": ["layers.count=1"],
+    "aerofoil_core": ["layers.count=1", "layers.source.size_mm=[30, 99]"],
 }
 SOLVED = 3  # places
 

@@ -38,8 +38,8 @@ class StackedPrint:
 CASES = {
     "cylinder_logo": StackedPrint(("layers.count=4",)),
     "hemisphere_honeycomb": StackedPrint(("layers.count=6",)),
-    "aerofoil_core": StackedPrint(),
-    "aerofoil_core_tapered": StackedPrint(),
+    "aerofoil_core": StackedPrint(("layers.source.size_mm=[30, 99]",)),
+    "aerofoil_core_tapered": StackedPrint(("layers.source.size_mm=[40, 85]",)),
     "fibre_plane": StackedPrint(("layers.count=3",)),
     "curved_plate": StackedPrint(("layers.count=3",)),
     "saddle_ring": StackedPrint(most=CROSSING),

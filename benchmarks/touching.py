@@ -32,6 +32,25 @@ def tips_of(scene: Scene, truth: Placement, points: Array, off: Array, q: Array)
     return np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3] + truth.shift
 
 
+def from_one_side(
+    scene: Scene, truth: Placement, noise: float, aim: float, random: np.random.Generator, wrong: Array | None = None
+) -> dict[str, Array]:
+    """Columns of nine contacts with a cylinder on a turntable, as Pollard et al. take them: at nine angles of the table the
+    nozzle comes along x of the world, `aim` [m] beside the cylinder's axis, and stops within `noise` [m] of the wall
+    (standard deviations). wrong (9) is added to where it stops [m]."""
+    part = scene.problem.part
+    if part is None or part.cylinder is None:
+        raise ValueError("the problem has no cylinder")
+    a = np.radians(np.linspace(-160.0, 160.0, 9))[:, None]
+    T = plate_poses(scene.cell, a) @ truth.T_plate_part
+    middle = np.array([*part.cylinder.centre, 0.5 * part.cylinder.height])
+    beside = random.normal(0.0, aim, len(a))
+    before = np.sqrt(part.cylinder.radius**2 - beside**2) + random.normal(0.0, noise, len(a))
+    before += 0.0 if wrong is None else wrong
+    tips = T[:, :3, :3] @ middle + T[:, :3, 3] + truth.shift + np.column_stack([-before, beside, 0.0 * beside])
+    return cartesian(scene, tips, a) | {"ax": np.ones(len(a)), "ay": np.zeros(len(a)), "az": np.zeros(len(a))}
+
+
 def write_contacts(path: Path, columns: dict[str, Array], rows: Sequence[str] = ()) -> Path:
     """A CSV file of columns by their headers; `rows` are added as they are."""
     table = np.column_stack(list(columns.values()))

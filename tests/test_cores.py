@@ -36,6 +36,7 @@ COARSE = ("resolve.rung_mm=10", "resolve.roll_step_deg=30")
 DRAWN: dict[str, Any] = runpy.run_path(str(PROBLEMS / "draw_cores.py"))
 TRUE = {"aerofoil_core": DRAWN["straight"], "aerofoil_core_tapered": DRAWN["tapered"]}
 NAMES = tuple(TRUE)
+STRIP = {"aerofoil_core": "layers.source.size_mm=[30, 99]", "aerofoil_core_tapered": "layers.source.size_mm=[40, 85]"}
 SIDEWAYS = 1e-3  # mm, for slopes
 PUBLISHED = {
     "aerofoil_core": (
@@ -50,7 +51,8 @@ PUBLISHED = {
 
 @cache
 def core(name: str, *changes: str) -> Toolpath:
-    return build_toolpath(load_problem(name, changes))
+    """A strip of a shipped core, unless `changes` ask for another extent."""
+    return build_toolpath(load_problem(name, (STRIP[name], *changes)))
 
 
 def surface(toolpath: Toolpath) -> CoreSurface:
@@ -84,6 +86,18 @@ def test_beads_lie_on_the_true_surfaces(name: str) -> None:
         assert (middle - lower).min() >= level.room * 1e3 - 0.02
         high = 1e3 * level.height + level.share * (middle - lower)
         np.testing.assert_allclose(bead.height * 1e3, high * normals[:, 2], atol=2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "size"), [("aerofoil_core", (70.0, 100.0)), ("aerofoil_core_tapered", (100.0, 88.0))])
+def test_what_ships_has_the_papers_extent(name: str, size: tuple[float, float]) -> None:
+    """Whole cells of 8 mm come to both ends of the span, and along the chord to where the core is too thin or too steep."""
+    toolpath = build_toolpath(load_problem(name))
+    points = np.vstack([bead.points for bead in toolpath.beads]) * 1e3
+    span, chord = np.ptp(points[:, :2], axis=0)
+    assert size[0] - 1.1 * 8.0 <= span <= size[0]
+    assert 0.85 * size[1] <= chord <= size[1]
+    assert toolpath.layers == {"aerofoil_core": 40, "aerofoil_core_tapered": 28}[name]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -64,6 +64,9 @@ COVER_NAMES: tuple[str, ...] = get_args(CoverName)
 DirectionName = Literal["u", "v"]
 DIRECTION_NAMES: tuple[str, ...] = get_args(DirectionName)
 
+TransitionName = Literal["linear", "harmonic"]
+TRANSITIONS: tuple[str, ...] = get_args(TransitionName)
+
 ShareName = Literal["purge", "skirt", "brim", "support", "ironing"]
 SHARE_NAMES: tuple[str, ...] = get_args(ShareName)
 
@@ -469,6 +472,12 @@ class VolumeLayersSpec(Section):
         "least_height_mm",
         "least vertical height [mm]: where layers would be thinner, fewer of them are laid; default: half of height_mm",
         None,
+    )
+    transition: Annotated[TransitionName, one_of(TRANSITIONS)] = key(
+        "transition",
+        "how layers change from the lower surface to the upper one: linear shares the height out along z, harmonic takes the "
+        "levels of the harmonic field between them",
+        "linear",
     )
     perimeters: Annotated[int, Quantity("", 0, 20, whole=True)] = key("perimeters", "how many beads run along walls", 1)
     infill: InfillSpec = key("infill", "what fills a layer between its walls; each of its keys has a default", {})

@@ -160,6 +160,7 @@ EXAMPLES: dict[str, str] = {
     "tool": "tPen",
     "tool_materials": "[pla, pva]",
     "tools": "[0, 1]",
+    "transition": "harmonic",
     "turn_deg": "45",
     "type": "table_table",
     "unit": "m",

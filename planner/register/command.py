@@ -1,4 +1,5 @@
-"""Where the part really is: its placement from places that the nozzle touched, written into a copy of the problem.
+"""Where the part really is: its placement from places that the nozzle touched, or from a scan, written into a copy of the
+problem.
 
 python -m planner.register contacts.csv fibre_bowl
 """
@@ -14,6 +15,7 @@ from pathlib import Path
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
+from planner.feedback.scan_frame import UNITS
 from planner.planning.options import add_problem
 from planner.problem import load_problem
 from planner.problem.rewrite import write_changed
@@ -28,6 +30,7 @@ from planner.register.finding import (
     suggest_next,
 )
 from planner.register.fitting import FREEDOMS
+from planner.register.scans import SCANS, is_scan, register_scan
 from planner.register.telling import (
     KINDS,
     changes_of,
@@ -57,12 +60,15 @@ def _run(options: argparse.Namespace) -> int:
     if options.published:
         return _published(options, scene, target)
     ask = _ask(options)
-    found = register(scene, options.contacts, ask)
+    scan = is_scan(options.contacts)
+    found = (
+        register_scan(scene, options.contacts, ask, options.unit) if scan else register(scene, options.contacts, ask)
+    )
     fit = found.fit
     changes = changes_of(problem, fit.placement, scene.start, freedoms_of(problem, ask))
     write_changed(problem, changes, target)
     load_problem(target)  # which tells what no problem may have, such as a part that is nowhere
-    lines = lines_of(found, changes, suggest_next(found))
+    lines = lines_of(found, changes, None if scan else suggest_next(found))
     good, sentence = verdict(found, options.tolerance)
     print("\n".join([*lines, sentence, f"written to {target}"]))
     if options.report is not None:
@@ -72,12 +78,12 @@ def _run(options: argparse.Namespace) -> int:
 
 def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
     """Place table and cylinder by the published equation."""
-    table, placement = as_published(scene, options.contacts)
-    changes = changes_of(scene.problem, placement, scene.start, ("x", "y"))
+    found = as_published(scene, options.contacts)
+    changes = changes_of(scene.problem, found.placement, scene.start, ("x", "y"))
     write_changed(scene.problem, changes, target)
     load_problem(target)
-    print("\n".join([*published_lines(table, changes), f"written to {target}"]))
-    return EXIT_VERIFIED if table.cost <= options.tolerance else EXIT_NOT_VERIFIED
+    print("\n".join([*published_lines(found, changes), f"written to {target}"]))
+    return EXIT_VERIFIED if found.off <= options.tolerance else EXIT_NOT_VERIFIED
 
 
 def _suggest(options: argparse.Namespace) -> int:
@@ -104,10 +110,11 @@ def register_command() -> Command:
     """The parser of `python -m planner.register`."""
     parser = Command(
         "register",
-        "Find where the part is from places that the nozzle touched, and write a problem file that says so.",
+        "Find where the part is from places that the nozzle touched, or from a scan, and write a problem file that says so.",
         {
             "my_part.yaml --suggest 8": "where to touch first",
             "contacts.csv my_part.yaml": "place the part; writes my_part_registered.yaml",
+            "scan.ply my_part.yaml": "the same from a scan, thousands of points in the world",
             "contacts.csv my_part.yaml --free x,y,z --report fit.html": "only shifts, with a figure of the residuals",
         },
         {
@@ -117,7 +124,13 @@ def register_command() -> Command:
             130: "interrupted",
         },
     )
-    parser.add_argument("contacts", nargs="?", type=Path, metavar="CONTACTS.csv", help="readings of the touched places")
+    parser.add_argument(
+        "contacts",
+        nargs="?",
+        type=Path,
+        metavar="CONTACTS.csv",
+        help=f"readings of the touched places; or a scan, a cloud of points in the world ({', '.join(SCANS)})",
+    )
     add_problem(parser)
     parser.add_argument("--out", type=Path, metavar="NEW.yaml", help="default: <problem>_registered.yaml, here")
     parser.add_argument(
@@ -150,6 +163,7 @@ def register_command() -> Command:
     parser.add_argument(
         "--noise-mm", metavar="MM", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
     )
+    parser.add_argument("--unit", choices=tuple(UNITS), help="of a scan (default: as its header says, else mm)")
     parser.add_argument("--suggest", type=int, metavar="N", help="without contacts: where to touch first, N places")
     return parser
 
@@ -165,6 +179,13 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
         parser.error(
             "--published finds the table and the cylinder on it: leave out --free, --table, --size and --report"
         )
+    scan = options.contacts is not None and is_scan(options.contacts)
+    if scan and (options.published or options.table or options.ball_mm):
+        parser.error(
+            "a scan shows the part at one angle and touches nothing: leave out --published, --table and --ball-mm"
+        )
+    if options.unit and not scan:
+        parser.error(f"--unit is for a scan: {', '.join(SCANS)}")
     if options.suggest is not None and not 1 <= options.suggest <= MOST_SUGGESTED:
         parser.error(f"--suggest: 1 to {MOST_SUGGESTED}")
     if not 0.0 <= options.ball_mm <= 50.0:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.problem import Problem
@@ -22,6 +22,7 @@ from planner.register.contacts import (
     other_units,
     plate_poses,
     read_readings,
+    settled,
 )
 from planner.register.fitting import (
     FREEDOMS,
@@ -184,19 +185,40 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     touch = Touch(scene.surface, scene.tangents, contacts, unknowns, ask.ball)
     found = fit(touch, scene.start, ask.noise)
     _fits(scene, readings, found, ask)
-    held = _determined(scene, found, plates)
+    return replace(judged(scene, ask, found), turntable=_turntable(scene, contacts))
+
+
+def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
+    """A fit with what it leaves free and how sure it is. Raises InputError where the nozzle's height depends on that."""
+    plates = _plates(scene, ask, found.touch.contacts)
     return Registration(
         scene=scene,
         ask=ask,
         fit=found,
-        held=tuple(held),
+        held=tuple(_determined(scene, found, plates)),
         uncertainty=uncertainty_of(found, scene.waypoints, plates, ask.noise),
-        turntable=_turntable(scene, contacts),
+        turntable=None,
     )
 
 
-def as_published(scene: Scene, file: Path) -> tuple[Turntable, Placement]:
-    """The table's axis and the cylinder on it by Pollard et al., eq. (1), and the placement that this makes.
+@dataclass(frozen=True)
+class Published:
+    """A table and the cylinder on it by Pollard et al., eq. (1); what least squares make of that over the contacts which it
+    fits; which contacts (n) these are; and the placement that this is."""
+
+    table: Turntable
+    settled: Turntable
+    right: Flags
+    placement: Placement
+
+    @property
+    def off(self) -> float:
+        """Eq. (1b)'s mean over the contacts that are right [m]."""
+        return float(np.abs(self.table.off[self.right]).sum(axis=1).mean())
+
+
+def as_published(scene: Scene, file: Path) -> Published:
+    """The table's axis and the cylinder on it by eq. (1) of Pollard et al., settled by least squares.
 
     Contacts of a nozzle that always comes from one side are enough, at several angles of the table.
     Raises InputError for other parts and tables, and for contacts that this cannot be told from.
@@ -223,16 +245,17 @@ def as_published(scene: Scene, file: Path) -> tuple[Turntable, Placement]:
             file=file,
             hint="an upright table at two angles or more, and a nozzle that comes from the side",
         )
-    if table.cost > MISFIT:
+    if table.usual > MISFIT:
         raise InputError(
-            f"the contacts do not lie on this cylinder: by eq. (1) they are {table.cost * 1e3:.1f} mm off on average",
+            f"the contacts do not lie on this cylinder: by eq. (1) half of them are {table.usual * 1e3:.1f} mm off and more",
             file=file,
             hint="a nozzle that always comes from one side, straight at the cylinder's axis; lengths in mm in the world",
         )
+    found, right = settled(table, contacts.T_world_plate[:, :2, :2])
     T = scene.start.T_plate_part.copy()
-    T[:2, 3] = table.cylinder - T[:2, :2] @ np.asarray(part.cylinder.centre)
-    shift = np.append(table.axis - contacts.T_world_plate[0, :2, 3], 0.0)
-    return table, Placement(T, shift)
+    T[:2, 3] = found.cylinder - T[:2, :2] @ np.asarray(part.cylinder.centre)
+    shift = np.append(found.axis - contacts.T_world_plate[0, :2, 3], 0.0)
+    return Published(table, found, right, Placement(T, shift))
 
 
 def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:

@@ -329,10 +329,10 @@ def fit(touch: Touch, start: Placement, noise: float | None = None) -> Fit:
         placement = _settled(touch, placement, kept.astype(float), _LAST_STEPS)
         if (kept == before).all():
             break
-    return Fit(touch, _least_moved(touch, start, placement, kept), kept)
+    return Fit(touch, least_moved(touch, start, placement, kept), kept)
 
 
-def _least_moved(touch: Touch, start: Placement, placement: Placement, kept: Flags) -> Placement:
+def least_moved(touch: Touch, start: Placement, placement: Placement, kept: Flags) -> Placement:
     """Of all placements that the contacts cannot tell from this one, the one that is not moved from the start in ways that
     they do not see; turns come first, where a slide and a turn are one.
 

@@ -10,6 +10,7 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -19,9 +20,8 @@ from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.problem import Problem
 from planner.problem.rewrite import Value
-from planner.register.contacts import Turntable
-from planner.register.finding import MISFIT, Registration, Scene
-from planner.register.fitting import Placement
+from planner.register.finding import MISFIT, Published, Registration, Scene
+from planner.register.fitting import Fit, Placement
 from planner.register.places import TouchPlaces
 
 # ----------------------------------------------------------------------------------------------------
@@ -68,6 +68,7 @@ def _mm(p: Array) -> list[float]:
 # A figure of residuals, and of how sure the nozzle's height is over the beads.
 
 KINDS = (".png", ".html")
+_BINS = 60
 _GOOD, _BAD = "#3b6ea8", "#c8503c"
 _PAGE = """<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>
 <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}}
@@ -104,18 +105,8 @@ def _figure(found: Registration, tolerance: float) -> Figure:
     bars, space = figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2, projection="3d")
     # outliers reach out of the picture, else nothing could be seen of the others
     reach = max(3.0 * float(np.abs(residuals[fit.kept]).max()), tolerance * 1.2e3)
-    shown = np.clip(residuals, -reach, reach)
-    at = np.arange(len(shown))
-    bars.bar(at, shown, color=[_GOOD if kept else _BAD for kept in fit.kept])
-    for k in np.flatnonzero(np.abs(residuals) > reach):
-        bars.annotate(f"{residuals[k]:+.2f}", (k, shown[k]), ha="center", va="bottom" if shown[k] > 0 else "top")
-    for side in (-tolerance, tolerance):
-        bars.axhline(side * 1e3, color="#999", linestyle="--", linewidth=0.8)
-    bars.set_ylim(-1.15 * reach, 1.15 * reach)
-    if len(at) <= 30:
-        bars.set_xticks(at, fit.touch.contacts.names, rotation=60 if len(at) > 12 else 0)
-    bars.set_ylabel("residual [mm]")
-    bars.set_title("contacts: off the surface (outliers in red)", fontsize=10)
+    each = bool(fit.touch.contacts.names)  # else there are thousands
+    (_draw_each if each else _draw_many)(bars, fit, reach, tolerance)
     bars.spines[["top", "right"]].set_visible(False)
 
     shape = scene.toolpath.shape
@@ -124,13 +115,40 @@ def _figure(found: Registration, tolerance: float) -> Figure:
     points = scene.waypoints.points * 1e3
     dots = space.scatter(*points.T, c=sure.height * 1e3, s=3, cmap="viridis")
     touched = fit.placement.seen(fit.touch.contacts.tips, fit.touch.contacts.T_world_plate) * 1e3
-    space.scatter(*touched[fit.kept].T, color=_GOOD, s=30, depthshade=False)
+    space.scatter(*touched[fit.kept].T, color=_GOOD, s=30 if each else 0.3, depthshade=False)
     space.scatter(*touched[~fit.kept].T, color=_BAD, s=30, marker="x", depthshade=False)
     if not np.isnan(sure.height).any():
         figure.colorbar(dots, ax=space, shrink=0.7, label="standard error of the nozzle's height [mm]")
     space.set_aspect("equal")
-    space.set_title("beads and contacts, part frame [mm]", fontsize=10)
+    space.set_title(f"beads and {'contacts' if each else 'scan'}, part frame [mm]", fontsize=10)
     return figure
+
+
+def _draw_each(axes: Axes, fit: Fit, reach: float, tolerance: float) -> None:
+    """A bar for each contact, up to `reach` [mm]."""
+    residuals = fit.residuals * 1e3
+    shown, at = np.clip(residuals, -reach, reach), np.arange(len(residuals))
+    axes.bar(at, shown, color=[_GOOD if kept else _BAD for kept in fit.kept])
+    for k in np.flatnonzero(np.abs(residuals) > reach):
+        axes.annotate(f"{residuals[k]:+.2f}", (k, shown[k]), ha="center", va="bottom" if shown[k] > 0 else "top")
+    for side in (-tolerance, tolerance):
+        axes.axhline(side * 1e3, color="#999", linestyle="--", linewidth=0.8)
+    axes.set_ylim(-1.15 * reach, 1.15 * reach)
+    if len(at) <= 30:
+        axes.set_xticks(at, fit.touch.contacts.names, rotation=60 if len(at) > 12 else 0)
+    axes.set_ylabel("residual [mm]")
+    axes.set_title("contacts: off the surface (outliers in red)", fontsize=10)
+
+
+def _draw_many(axes: Axes, fit: Fit, reach: float, tolerance: float) -> None:
+    """How many points of a scan are how far off, up to `reach` [mm]."""
+    shown = np.clip(fit.residuals * 1e3, -reach, reach)
+    axes.hist([shown[fit.kept], shown[~fit.kept]], bins=_BINS, stacked=True, color=[_GOOD, _BAD])
+    for side in (-tolerance, tolerance):
+        axes.axvline(side * 1e3, color="#999", linestyle="--", linewidth=0.8)
+    axes.set_xlabel("residual [mm]")
+    axes.set_ylabel("points")
+    axes.set_title("points of the scan: off the surface (outliers in red)", fontsize=10)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -162,12 +180,15 @@ def lines_of(
     """Everything but the verdict; `further` is the place to touch next, as `suggest_next` has it."""
     fit, sure = found.fit, found.uncertainty
     outliers = int((~fit.kept).sum())
-    out = ["contact      residual mm", *(_contact(found, i) for i in range(len(fit.kept)))]
+    scan = not fit.touch.contacts.names
+    out = [] if scan else ["contact      residual mm", *(_contact(found, i) for i in range(len(fit.kept)))]
     kept = fit.residuals[fit.kept] * 1e3
-    spread = f"{len(kept)} contacts kept, {outliers} outlier{'s' if outliers != 1 else ''}"
+    spread = f"{len(kept)} {'points' if scan else 'contacts'} kept, {outliers} outlier{'s' if outliers != 1 else ''}"
     out.append(f"{spread}; root mean square {np.sqrt((kept**2).mean()):.3f} mm, greatest {np.abs(kept).max():.3f} mm")
     if not math.isnan(fit.noise):
-        out.append(f"noise of a touch, from the residuals: {fit.noise * 1e3:.3f} mm ({fit.spare} to spare)")
+        out.append(
+            f"noise of a {'point' if scan else 'touch'}, from the residuals: {fit.noise * 1e3:.3f} mm ({fit.spare} to spare)"
+        )
     out += [f"found {field}: {value}" for field, value in changes.items()]
     out += [_moved(found)]
     if not np.isnan(sure.position).any():
@@ -187,13 +208,17 @@ def lines_of(
     return out
 
 
-def published_lines(table: Turntable, changes: Mapping[str, Value]) -> list[str]:
-    """What eq. (1) of Pollard et al. says, contact by contact."""
+def published_lines(found: Published, changes: Mapping[str, Value]) -> list[str]:
+    """What eq. (1) of Pollard et al. says, contact by contact, and what is written."""
+    table, settled = found.table, found.settled
     off = np.linalg.norm(table.off, axis=1) * 1e3
+    mark = np.where(found.right, "", "  outlier")
+    moved = _numbers(np.linalg.norm([settled.axis - table.axis, settled.cylinder - table.cylinder], axis=1) * 1e3, 3)
     return [
         "contact      off mm",
-        *(f"{i:<10} {each:+9.3f}" for i, each in enumerate(off, 1)),
+        *(f"{i:<10} {each:+9.3f}{mark[i - 1]}" for i, each in enumerate(off, 1)),
         f"Pollard's eq. (1), sum of absolute differences: {table.cost * 1e3:.3f} mm off on average",
+        f"least squares over the contacts that it fits: table and cylinder {moved} mm from there",
         *(f"found {field}: {value}" for field, value in changes.items()),
         "how sure the nozzle's height is, this does not tell; leave out --published for contacts from all sides",
     ]

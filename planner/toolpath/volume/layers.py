@@ -5,7 +5,7 @@ The two surfaces are levels, meshes, or the body's own top; each layer lies on t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -52,6 +52,7 @@ _NAMED = 5  # numbers of layers that are named
 _RESERVE = 1.02  # the stretch varies within a tolerance
 _BELOW = 1e-5  # m by which a body may reach below the bed: rounding
 _MOST_LAYERS = 2000
+_COUNTS = 8  # numbers of layers that are tried
 _CLOSED_UNASKED = 0.05  # of the surface that closes holes, at most
 _MOST_CLOSED = 0.4  # of the surface: where closing takes more, it is hardly a body
 
@@ -91,10 +92,36 @@ def stack_of(
         field = "layers.upper" if spec.upper is not None else "layers.lower"
         reason = f"the upper surface is nowhere above the lower one: {room * 1e3:.3f} mm at most"
         raise problem.error(field, reason, "the upper surface must lie above the lower one, within the body's outline")
-    morph = Morph.between(lower, upper, spec.height, spec.thinnest, room, low - reach, high + reach)
+    between = partial(Morph.between, lower, upper)
+    bounds = (spec.thinnest, room, low - reach, high + reach)
+    if spec.transition == "linear":
+        morph = between(spec.height, *bounds)
+    else:
+        morph = _harmonic(problem, spec, lambda height: between(height, *bounds).harmonic(), plane)
     meshes = [(field, top) for field, top in guides if top is not None]
     told = tuple(f"{field}: {top.words}" for field, top in meshes if top.words)
     return morph, base, told, max((top.told_gap for _, top in meshes), default=0.0)
+
+
+def _harmonic(problem: Problem, spec: VolumeLayersSpec, stack: Callable[[float], Morph], plane: Array) -> Morph:
+    """The least many layers of a harmonic field, of which none is higher than is asked, by `stack` of an even height [m].
+
+    plane (n, 2): where the body is. Raises InputError where some would be lower than may be.
+    """
+    height = spec.height
+    for _ in range(_COUNTS):
+        morph = stack(height)
+        layers = [morph.layer(level).at(plane)[0][:, 2] for level in range(1, int(morph.count) + 1)]
+        least, most = min(each.min() for each in layers), max(each.max() for each in layers)
+        if most <= spec.height * _RESERVE:
+            break
+        height = max(height * spec.height / most, _RESERVE * spec.thinnest)
+    if least < spec.thinnest / _RESERVE or most > spec.height * _RESERVE:
+        reason = f"layers of the harmonic field would be {least * 1e3:.3f} to {most * 1e3:.3f} mm high"
+        lower = f"{np.floor(min(least, 0.9 * spec.thinnest) * 1e5) * 1e-2:g}"
+        hint = f"a lower layers.least_height_mm, such as {lower}, or layers.transition: linear"
+        raise problem.error("layers.transition", reason, hint)
+    return morph
 
 
 def _heights(
@@ -440,7 +467,7 @@ def _lay(morph: Morph, rows: Sequence[Sequence[_RoundedPath]], width: float, sha
         curve = line.curve
         along = np.gradient(points, axis=0)
         longer = np.linalg.norm(along, axis=1) / np.linalg.norm(along[:, :2], axis=1)
-        thickness = morph.thickness.at(curve.points)[0][:, 2]
+        thickness = morph.layer(layer + 1).at(curve.points)[0][:, 2]
         source, wide = fields[layer].at(densify(curve.source))[0], width / (normals[:, 2] * longer)
         high = share * thickness * normals[:, 2]
         placed_as = (points, normals, zero, source, wide, high)
@@ -542,7 +569,7 @@ def _notes(
     name: str, morph: Morph, rows: Sequence[Sequence[_RoundedPath]], beads: Sequence[Bead], lost: _Lost
 ) -> tuple[str, ...]:
     """How high layers are, and what was left out."""
-    high = np.concatenate([morph.thickness.at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3
+    high = np.concatenate([morph.layer(bead.layer + 1).at(bead.points[:, :2])[0][:, 2] for bead in beads]) * 1e3
     count = sum(1 for row in rows if row)
     notes = [f"{name}: {count} layers, {high.min():.3f} to {high.max():.3f} mm high along z"]
     if lost.words:

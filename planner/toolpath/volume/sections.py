@@ -2,7 +2,8 @@
 
 Layer k is lower + k * thickness, over x and y. The thickness shares out the gap between the two surfaces evenly, but
 never falls below a bound: where it is held there, layers run parallel to the lower surface and end where they reach the
-upper one. To be cut, the mesh is bent so that layers become level planes.
+upper one. Or layers are levels of the harmonic field between the lower surface and where the last of those would be, by
+departures from the even share. To be cut, the mesh is bent so that layers become level planes.
 """
 
 from __future__ import annotations
@@ -20,10 +21,15 @@ from scipy.sparse.csgraph import connected_components
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 from planner.toolpath.substrate.mesh_top import MeshTop
+from planner.toolpath.volume.harmonic import POWERS, departures, harmonic_departures
 
 Heights = Callable[[Array], Array]  # of places x, y (n, 2): z (n) [m]
 _BEND = 0.2  # of the way from the least to the greatest height, over which the thickness bends towards the least
 _KNOTS = 40  # of the layers, along the longer side
+_BRICKS = 60  # of the harmonic field, along the longer side
+_MOST_BRICKS = 120  # likewise, with what is beside
+_BESIDE = 1.5  # of the greatest height, that the field reaches beside: there its sides still count for a hundredth
+_ROUNDS = 40  # a level of the field is looked for: each brings it nearer by how much the field is off an even share
 _SAMPLES = 3  # of the surfaces, from knot to knot
 _PITCH = 1e-3  # m between corners of the facets that stand for what is printed
 _MOST_PITCHES = 300  # along the longer side
@@ -39,10 +45,15 @@ _AREA = 1e-12  # m^2: an outline around less is none
 
 @dataclass(frozen=True)
 class Morph:
-    """A stack of layers: the k-th begins at lower + k * thickness [m], both with the same knots."""
+    """A stack of `count` layers: the k-th begins at lower + k * thickness [m], both with the same knots.
+
+    off  factors of `departures` (k / count), likewise, that are added; none where layers share the height out evenly
+    """
 
     lower: HeightField
     thickness: HeightField
+    count: float = 1.0
+    off: tuple[HeightField, ...] = ()
 
     @classmethod
     def between(
@@ -63,27 +74,89 @@ class Morph:
         weights = np.ones(len(plane))
         end = low + cells * step
         fields = [fit(np.column_stack([plane, z]), weights, low, end, step) for z in (base, high_enough)]
-        return cls(*fields)
+        return cls(fields[0], fields[1], float(count))
+
+    def harmonic(self) -> Morph:
+        """The levels of the harmonic field between the first and the last of these layers, which go on straight beside their
+        rectangle for so far that its sides do not matter."""
+        low, high = self.lower.span
+        thickest = float(self.thickness.coefficients.max())
+        beside = _BESIDE * self.count * thickest
+        longest = float((high - low).max())
+        pitch = max(longest / _BRICKS, (longest + 2.0 * beside) / _MOST_BRICKS)
+        axes = [
+            np.arange(a - np.ceil(beside / pitch) * pitch, b + beside + pitch, pitch)
+            for a, b in zip(low, high, strict=True)
+        ]
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        plane = grid.reshape(-1, 2)
+        first, thickness = (_straight_on(surface, plane) for surface in (self.lower, self.thickness))
+        least = self.thickness.at(plane)[0][:, 2].min()
+        last = first + self.count * np.maximum(thickness, least)
+        shape = grid.shape[:2]
+        factors = harmonic_departures(first.reshape(shape), last.reshape(shape), pitch).reshape(-1, POWERS)
+        within = ((plane >= low - 0.01 * pitch) & (plane <= high + 0.01 * pitch)).all(axis=1)
+        ones = np.ones(int(within.sum()))
+        off = [fit(np.column_stack([plane, z])[within], ones, low, high, self.lower.step) for z in factors.T]
+        return replace(self, off=tuple(off))
 
     def field(self, level: float) -> HeightField:
         """The surface `level` layers up."""
         heights = self.lower.coefficients + level * self.thickness.coefficients
+        return self._with(heights, self._departures(level))
+
+    def layer(self, level: float) -> HeightField:
+        """The height of the layer that ends `level` layers up."""
+        return self._with(self.thickness.coefficients, self._departures(level) - self._departures(level - 1.0))
+
+    def _departures(self, level: float) -> Array:
+        return departures(np.clip(np.array(level / self.count), 0.0, 1.0))[: len(self.off)]
+
+    def _with(self, heights: Array, factors: Array) -> HeightField:
+        """Heights with the departures by these factors."""
+        for factor, surface in zip(factors.tolist(), self.off, strict=True):
+            heights = heights + factor * surface.coefficients
         return HeightField(self.lower.corner, self.lower.step, heights)
 
     def levels(self, points: Array) -> Array:
         """How many layers up points (n, 3) are."""
         lower, thickness = (surface.at(points[:, :2])[0][:, 2] for surface in (self.lower, self.thickness))
-        return np.asarray((points[:, 2] - lower) / thickness)
+        even = (points[:, 2] - lower) / thickness
+        if not self.off:
+            return np.asarray(even)
+        off = np.column_stack([surface.at(points[:, :2])[0][:, 2] for surface in self.off]) / thickness[:, None]
+        found = even
+        for _ in range(_ROUNDS):
+            found = even - (off * departures(np.clip(found / self.count, 0.0, 1.0))).sum(axis=1)
+        return np.asarray(found)
+
+    def heights(self, plane: Array, level: Array) -> Array:
+        """Heights (n) of the surfaces so many layers (n) up at x, y (n, 2) [m]."""
+        lower, thickness = (surface.at(plane)[0][:, 2] for surface in (self.lower, self.thickness))
+        out = lower + level * thickness
+        for factor, surface in zip(departures(np.clip(level / self.count, 0.0, 1.0)).T, self.off, strict=False):
+            out += factor * surface.at(plane)[0][:, 2]
+        return np.asarray(out)
 
     def normals(self, points: Array) -> Array:
         """Upward unit normals (n, 3) of the surfaces that run through points (n, 3)."""
         slopes = []
-        for surface in (self.lower, self.thickness):
+        for surface in (self.lower, self.thickness, *self.off):
             n = surface.at(points[:, :2])[1]
             slopes.append(n[:, :2] / n[:, 2:])
-        across = slopes[0] + self.levels(points)[:, None] * slopes[1]
+        level = self.levels(points)
+        across = slopes[0] + level[:, None] * slopes[1]
+        for factor, slope in zip(departures(np.clip(level / self.count, 0.0, 1.0)).T, slopes[2:], strict=False):
+            across = across + factor[:, None] * slope
         normals = np.column_stack([across, np.ones(len(points))])
         return np.asarray(normals / np.linalg.norm(normals, axis=1)[:, None])
+
+
+def _straight_on(surface: HeightField, plane: Array) -> Array:
+    """Heights (n) [m] of a surface at x, y (n, 2), beside its rectangle straight on from the nearest place of that."""
+    held = np.clip(plane, *surface.span)
+    points, normals = surface.at(held)
+    return np.asarray(points[:, 2] - ((plane - held) * normals[:, :2]).sum(axis=1) / normals[:, 2])
 
 
 def _ramp(x: Array, reach: float) -> Array:
@@ -129,8 +202,7 @@ class MorphedLayers:
         """Upward unit normals (n, 3) of the layers' surfaces through points (n, 3), of the first or last beyond them."""
         held = points.copy()
         level = np.clip(self.morph.levels(points), 0.0, len(self.regions))
-        lower, thickness = (s.at(points[:, :2])[0][:, 2] for s in (self.morph.lower, self.morph.thickness))
-        held[:, 2] = lower + level * thickness
+        held[:, 2] = self.morph.heights(points[:, :2], level)
         return self.morph.normals(held)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:

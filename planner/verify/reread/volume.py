@@ -7,7 +7,7 @@ to within their distance; its walls and its infill are held against it. Lengths 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -19,6 +19,7 @@ from planner.problem.layers import GuideSpec, VolumeLayersSpec
 from planner.verify.checks import EVERYWHERE, Judged
 from planner.verify.reread.areas import depth_of
 from planner.verify.reread.facets import Crossings, Facets, facets_of
+from planner.verify.reread.harmonic import LevelsOff, levels_off
 from planner.verify.reread.places import (
     INSIDE,
     OFF_LEVEL,
@@ -40,6 +41,8 @@ _KNOWN = 0.9  # of the lines: with fewer a file has too many holes
 _BEND = 0.2  # of the way from the least to the greatest height of a layer, over which heights bend towards the least
 _BENT = 0.16  # of that: how far the bend is from the greater of both
 _UNSURE = 0.02  # layers by which the height of the body may be told differently
+_MORE = 2  # times as many layers of a harmonic field there may be as of an even height
+_LIKELY = 2  # of these numbers, by layers of an even height, are looked at
 _NEAR = 0.75  # bead widths from the middle line of a wall
 _LINES = 1.5  # distances of lines of infill: the greatest hole between them
 _SPREAD = 1.6  # distances of lines, where their turns count as filling and they lie farther apart
@@ -88,13 +91,17 @@ class BodyFacets:
 
 @dataclass(frozen=True)
 class Stack:
-    """Layers from a lower surface to an upper one, `count` where these are farthest apart; heights [m]."""
+    """Layers from a lower surface to an upper one, `count` where these are farthest apart; heights [m].
+
+    off: by how much they are off an even share, of levels of a harmonic field
+    """
 
     lower: Heights
     upper: Heights
     count: int
     greatest: float
     least: float
+    off: LevelsOff | None = None
 
     def thickness(self, plane: Array) -> tuple[Array, Array]:
         """Of layers at x, y (n, 2), and how far that may be off for the bend towards the least [m]."""
@@ -103,9 +110,18 @@ class Stack:
         bent = np.where(np.abs(share - self.least) < reach, _BENT * reach, 0.0)
         return np.maximum(share, self.least) + 0.5 * bent, 0.5 * bent
 
+    def above_lower(self, plane: Array, level: Array) -> Array:
+        """How far (n) above the lower surface `level` (n) layers end at x, y (n, 2) [m]."""
+        even = level * self.thickness(plane)[0]
+        return even if self.off is None else even + self.off.at(plane, level / self.count)
+
     def at(self, level: float) -> Heights:
         """The heights of the surface `level` layers up."""
-        return lambda plane: self.lower(plane) + level * self.thickness(plane)[0]
+        return lambda plane: self.lower(plane) + self.above_lower(plane, np.full(len(plane), level))
+
+    def harmonic(self, low: Array, high: Array) -> Stack:
+        """The levels of the harmonic field between the first and the last of these, over a body from low to high (2)."""
+        return replace(self, off=levels_off(self.lower, self.at(float(self.count)), low, high))
 
 
 def volume(judged: Judged, places: Places) -> Iterator[Check]:
@@ -152,24 +168,26 @@ def _stack(spec: VolumeLayersSpec, body: BodyFacets, lower: Heights, upper: Heig
     gap = (upper(body.plane) - lower(body.plane))[there]
     most = float(np.nanmax(np.append(gap, 0.0)))
     some = places.few(SEEN)
-    best, least = None, np.inf
-    for hair in (-_UNSURE, _UNSURE):
-        count = int(np.ceil(most / spec.height + hair))
-        if count < 1:
-            continue
-        stack = Stack(lower, upper, count, spec.height, spec.thinnest)
+    fewest, last = (int(np.ceil(most / spec.height + hair)) for hair in (-_UNSURE, _UNSURE))
+    harmonic = spec.transition == "harmonic"
+    counts = range(max(fewest, 1), (_MORE * last if harmonic else last) + 1)
+
+    def usual(stack: Stack) -> float:
         off = np.abs(_off(stack, some)[0])
-        usual = float(np.nanmedian(np.append(off, 1.0) if np.isnan(off).all() else off))
-        if usual < least:
-            best, least = stack, usual
-    return best
+        return float(np.nanmedian(np.append(off, 1.0) if np.isnan(off).all() else off))
+
+    stacks = sorted((Stack(lower, upper, count, spec.height, spec.thinnest) for count in counts), key=usual)
+    if not stacks or not harmonic:
+        return stacks[0] if stacks else None
+    corners = body.facets.corners.reshape(-1, 3)[:, :2]
+    ends = corners.min(axis=0), corners.max(axis=0)
+    return min((stack.harmonic(*ends) for stack in stacks[:_LIKELY]), key=usual)
 
 
 def _off(stack: Stack, places: Places) -> tuple[Array, Array]:
     """How far (n) [m] tips are above their layers, along z, and how much of that is not known."""
-    plane, level = places.tip[:, :2], places.layer + 1.0
-    thick, unsure = stack.thickness(plane)
-    return places.tip[:, 2] - stack.lower(plane) - level * thick, level * unsure
+    plane, level = places.tip[:, :2], np.asarray(places.layer + 1.0, dtype=float)
+    return places.tip[:, 2] - stack.lower(plane) - stack.above_lower(plane, level), level * stack.thickness(plane)[1]
 
 
 def _heights(judged: Judged, stack: Stack, places: Places) -> Iterator[Check]:
@@ -198,14 +216,13 @@ class _Layer:
 
     @classmethod
     def of(cls, body: BodyFacets, stack: Stack, layer: int, off: float) -> _Layer:
-        thick, unsure = stack.thickness(body.plane)
-        low, level = stack.lower(body.plane), layer + 0.5
-        by = level * unsure + off
-        found = [body.depths(low + level * thick + sense * by) for sense in (-1.0, 1.0)]
+        level = layer + 0.5
+        by, middle = level * stack.thickness(body.plane)[1] + off, stack.at(level)(body.plane)
+        found = [body.depths(middle + sense * by) for sense in (-1.0, 1.0)]
         steps = (body.pitch, body.pitch)
         here = [depth > 0.0 for depth, _ in found]
         surely, perhaps = (depth_of(each, steps) for each in (here[0] & here[1], here[0] | here[1]))
-        z = (low + (layer + 1.0) * thick).reshape(body.shape)
+        z = stack.at(layer + 1.0)(body.plane).reshape(body.shape)
         return cls(surely, perhaps, found[0][1] & found[1][1], z)
 
 
