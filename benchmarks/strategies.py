@@ -1,9 +1,13 @@
 """Strategies side by side on one problem: what each reaches, as verified, and how long it plans.
 
 python -m benchmarks.strategies cylinder_logo --set layers.count=1
+python -m benchmarks.strategies --all
 
 The default stands there with the reference solver of its quadratic programs (OSQP), and with the reference timing
 (toppra, which limits no jerk and so is not verified), too.
+
+With --all a quick look at every problem that ships, a search that is coarse and one layer where the file counts layers: the
+share of the length at speed by each strategy but nlp, in Markdown.
 """
 
 from __future__ import annotations
@@ -13,16 +17,17 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.named import coarse
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.base.progress import Stages
 from planner.base.versions import versions
 from planner.planning.pipeline import solve
-from planner.problem import Problem, load_problem
+from planner.problem import Problem, load_problem, shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
 
 COLUMNS = (
@@ -62,10 +67,30 @@ def row(label: str, problem: Problem, strategy: str) -> list[str]:
     ]
 
 
+def overview(strategies: Sequence[str], settings: Sequence[str]) -> Iterator[str]:
+    """Lines of a table of all problems that ship: the way that as_published follows, and the share at speed by each strategy."""
+    yield f"| problem | published way | {' | '.join(f'`{name}`' for name in strategies)} |"
+    yield "|---|---|" + "---|" * len(strategies)
+    for name in shipped_problems():
+        problem = load_problem(name, (*coarse(load_problem(name)), *settings))
+        cells = [at_speed(problem, strategy) for strategy in strategies]
+        yield f"| {name} | `{problem.resolve.published}` | {' | '.join(cells)} |"
+
+
+def at_speed(problem: Problem, strategy: str) -> str:
+    """The share of the length at speed, and whether the plan is verified, if there is one."""
+    try:
+        plan = solve(problem, strategy, baseline=False)
+    except Refusal:
+        return "no plan"
+    return f"{100 * plan.metrics['at_speed_fraction']:.1f} %" + ("" if plan.verified else ", not verified")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strategies", description=__doc__)
     parser.add_argument("problem", nargs="?", default="cylinder_logo")
+    parser.add_argument("--all", action="store_true", help="a quick look at every problem that ships")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument(
         "--without", nargs="+", default=[], choices=STRATEGY_NAMES, metavar="STRATEGY",
@@ -73,8 +98,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     options = parser.parse_args(arguments)
     try:
+        if options.all:
+            compared = [name for name in STRATEGY_NAMES if name not in ("nlp", *options.without)]
+            for line in overview(compared, options.set):
+                print(line, flush=True)
+            print(f"\n{used()}")
+            return EXIT_VERIFIED
         problem = load_problem(options.problem, options.set)
-        started = time.strftime("%Y-%m-%d")
         table = Table(*COLUMNS, title=f"{problem.name} {' '.join(options.set)}".strip(), title_justify="left")
         for strategy in STRATEGY_NAMES:
             if strategy not in options.without:
@@ -86,9 +116,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
     Console(width=120).print(table)
-    used = ", ".join(f"{name} {version}" for name, version in versions().items())
-    print(f"{started}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    print(used())
     return EXIT_VERIFIED
+
+
+def used() -> str:
+    """The day, the machine and the versions."""
+    each = ", ".join(f"{name} {version}" for name, version in versions().items())
+    return f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {each}"
 
 
 if __name__ == "__main__":

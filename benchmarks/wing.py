@@ -3,18 +3,22 @@
 python -m benchmarks.wing
 python -m benchmarks.wing naca0015_wing_tapered
 python -m benchmarks.wing --flow --set layers.count=2 --set layers.support=null
+python -m benchmarks.wing --cases
 
 The time is length / commanded speed: what dips and travel add stands in the summary of `python -m planner.solve`.
 
 With --flow the print is planned, with its passes joined as one zig-zag and with each a bead of its own, and what a motor
 that is only on or off lays by the millimetre is told of both.
+
+With --cases the straight wing is planned in the paper's three conventional ways, too (its figures 6 to 8), with a motor that
+follows the speed, and a table in Markdown sets them beside the curved layers.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -40,6 +44,17 @@ PAPER = {
 }
 
 WAYS = ("joined", "apart")
+_FOLLOWS = "process.extruder.motor=e_axis"
+_MESH = (
+    "layers={{source: {{mesh: naca0015_wing.stl, rpy_deg: {}, origin_mm: {}}}, upper: {{z_mm: {}}}, height_mm: 0.5}}"
+)
+# The paper's table 1. It lays the support of case 3 up to the greatest thickness; here the nose overhangs.
+CASES = {
+    "case 1": ("layers.source.method=planar", "layers.support.curved=0", _FOLLOWS),
+    "case 2": (_MESH.format("[90, 0, 0]", "[0, 8.7016, 0]", 20), _FOLLOWS),
+    "case 3": (_MESH.format("[0, -90, 0]", "[8.7016, 0, -15]", 80), _FOLLOWS),
+    "curved layers": (),
+}
 
 
 def own_figures(problem: Problem, toolpath: Toolpath) -> dict[str, float]:
@@ -94,15 +109,35 @@ def even_flow(name: str, changes: Sequence[str]) -> Table:
     return table
 
 
+def cases(changes: Sequence[str]) -> Iterator[str]:
+    """Lines of a table of the conventional ways and of the curved layers, as they are planned and verified."""
+    yield "| | layers, beads | length, m | at speed | slowest, mm/s | least clearance, mm | σ | print, s | verified |"
+    yield "|---|---|---|---|---|---|---|---|---|"
+    for name, own in CASES.items():
+        plan = solve(load_problem("naca0015_wing", (*own, *changes)), baseline=False)
+        m = plan.metrics
+        failed = [check.name for check in plan.checks if not check.ok]
+        yield (
+            f"| {name} | {m['layers']:,.0f}, {m['beads']:,.0f} | {m['deposited_length_mm'] / 1e3:.1f} "
+            f"| {m['at_speed_fraction']:.1%} | {m['speed_min_mm_s']:.1f} | {m['clearance_min_mm']:.1f} "
+            f"| {m['sigma_min']:.3f} | {m['print_time_s']:,.0f} | {'no: ' + ', '.join(failed) if failed else 'yes'} |"
+        ).replace("%", " %")
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.wing", description=__doc__)
     parser.add_argument("problem", nargs="?", default="naca0015_wing")
     parser.add_argument("--flow", action="store_true", help="plan it, and tell what flows by the millimetre")
+    parser.add_argument("--cases", action="store_true", help="plan the straight wing in the paper's conventional ways")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     console = Console(width=150)
     try:
+        if options.cases:
+            for line in cases(options.set):
+                print(line, flush=True)
+            return EXIT_VERIFIED
         if options.flow:
             console.print(even_flow(options.problem, options.set))
             return EXIT_VERIFIED

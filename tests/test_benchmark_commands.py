@@ -84,3 +84,9 @@ def test_the_parts_of_the_optimisers_figures_run(tmp_path: Path) -> None:
     assert (label, verified) == ("ladder", "yes") and at_speed.endswith(" %")
     for _, rate in (optimiser.searched(60), optimiser.refined(problem)):
         assert float(rate.split()[0]) > 0.0
+
+
+def test_a_quick_look_has_a_row_for_each_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(strategies, "shipped_problems", lambda: ["peer_cap"])
+    *_, row = strategies.overview(["as_published", "fixed"], ())
+    assert row == "| peer_cap | `turning_table` | 100.0 % | no plan |"

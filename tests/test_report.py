@@ -7,6 +7,8 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
+from html import unescape
 from importlib.metadata import distribution
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,9 +27,9 @@ from solved import small_plan
 
 from planner.base.errors import InputError, OutputError
 from planner.export.write import write_part
-from planner.plan import Event
+from planner.plan import Check, Event
 from planner.plan.measures import CHECKS
-from planner.problem import Problem
+from planner.problem import Problem, load_problem
 from planner.problem.fields import described
 from planner.report import picture, places
 from planner.report.charts import joint_charts, time_charts
@@ -36,7 +38,7 @@ from planner.report.failure import write_failure_report
 from planner.report.html import _command, _header, write_report
 from planner.report.judged import DEAREST, HEADLINES, MARGINS, judged
 from planner.report.picture import read_part
-from planner.report.places import MOST_MARKS, MOST_ROWS, worst_samples
+from planner.report.places import MOST_MARKS, MOST_ROWS, check_advice, worst_samples
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
@@ -422,7 +424,7 @@ def test_verdict_in_words(tmp_path: Path) -> None:
     assert "✓ Verified: this motion can be printed All 7 independent checks" in good
     assert "Not verified" not in good and "fails" not in good
     assert (
-        "✗ Not verified: do not print this 1 of 7 check fails, so no robot code was written: joint jerk : 1.31 ratio"
+        "✗ Not verified: do not print this 1 of 7 checks fails, so no robot code was written: joint jerk : 1.31 ratio"
         in bad
     )
     assert "A joint jerk joint_1, joint_4 at t 7.2 s ✗ 131.0 % ≤ 100 ✗ fails ✗ 470.0" in bad
@@ -806,3 +808,69 @@ def test_picture_from_the_command_line(tmp_path: Path) -> None:
         command, capture_output=True, text=True, cwd=Path(__file__).resolve().parent.parent, check=False
     )
     assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr
+
+
+# ---- what may help where a check fails ---------------------------------------------------------------------------
+
+FAILING = {
+    "beads cross nowhere": Check("beads cross nowhere", 1.0, 0.0, "places", False, "first at t 2 s", sample=500),
+    "flow per millimetre": Check(
+        "flow per millimetre", 0.4, 0.1, "of what a millimetre holds", False, "bead 3, 2.0 mm"
+    ),
+    "steering radius of the fibre": Check("steering radius of the fibre", 4.0, 20.0, "mm", False, "bead 1", least=True),
+}
+LONG_LAG = ("process.extruder.lag_s=0.1",)
+NOW = ("layers.source.path=greedy",)
+REMEDIED = [  # check, problem, changes of it, what the remedy names, each with a value that the problem takes
+    ("beads cross nowhere", "curved_plate", NOW, ["layers.source.path=rows", "layers.source.path=tour"]),
+    ("beads cross nowhere", "curved_plate", NOW, ["layers.source.direction=v", "layers.source.spacing_mm=20"]),
+    ("beads cross nowhere", "curved_plate", NOW, ["process.crossings=told"]),
+    ("beads cross nowhere", "cylinder_logo", ("process.crossings=refused",), ["process.crossings=told"]),
+    ("flow per millimetre", "naca0015_wing", ("layers.passes=joined",), ["layers.passes=apart"]),
+    ("flow per millimetre", "naca0015_wing", (), ["process.speed_mm_s=20", "process.corner_tolerance_mm=0.3"]),
+    ("flow per millimetre", "naca0015_wing", (), ["process.extruder.motor=e_axis"]),
+    ("flow per millimetre", "naca0015_wing", (), ["process.extruder.flow_tolerance=0.2"]),
+    ("flow per millimetre", "peer_cap", LONG_LAG, ["process.extruder.lag_s=0.02", "process.speed_mm_s=20"]),
+    ("steering radius of the fibre", "fibre_bowl", (), ["process.fibre.least_radius_mm=3"]),
+]
+
+
+@pytest.mark.parametrize(("check", "name", "changes", "named"), REMEDIED)
+def test_a_failed_check_is_told_what_to_change(
+    check: str,
+    name: str,
+    changes: Sequence[str],
+    named: Sequence[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    problem = load_problem(name, changes)
+    plan = dataclasses.replace(make_plan(4_000), problem=problem, checks=(FAILING[check],))
+    advice = check_advice(check, plan, FAILING[check].sample)
+    for setting in named:
+        key, _, value = setting.partition("=")
+        assert key in advice
+        assert not value.isalpha() or value in advice
+        problem.changed([setting])  # which the problem takes
+    assert advice in unescape(_header(plan))
+    one_material = problem.model_copy(update={"process": problem.process.model_copy(update={"materials": {}})})
+    print_summary(dataclasses.replace(plan, problem=one_material), tmp_path)
+    out = " ".join(capsys.readouterr().out.split())
+    assert f"FAILED {FAILING[check].words} what may help: {advice}" in out
+
+
+def test_zig_zags_that_are_apart_are_not_told_to_be() -> None:
+    apart = dataclasses.replace(make_plan(2_000), problem=load_problem("naca0015_wing"))
+    assert "layers.passes" not in check_advice("flow per millimetre", apart, -1)
+
+
+@pytest.mark.parametrize(("count", "words"), [(1, "1 place, limit 0 (first"), (2, "2 places, limit 0 (first")])
+def test_one_is_told_in_the_singular(count: int, words: str, tmp_path: Path) -> None:
+    check = dataclasses.replace(FAILING["beads cross nowhere"], worst=float(count))
+    assert f"beads cross nowhere: {words}" in check.words
+    plan = dataclasses.replace(
+        make_plan(2_000), problem=load_problem("curved_plate"), checks=(check, *make_plan(2_000).checks)
+    )
+    spoken = " ".join(re.sub("<[^>]+>", " ", _header(plan)).split())
+    assert f"beads cross nowhere : {count} place{'s' if count > 1 else ''}, limit 0 places;" in spoken
+    assert "1 of 8 checks fails," in spoken

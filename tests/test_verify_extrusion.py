@@ -156,6 +156,7 @@ def test_a_pulse_is_told_with_its_place_and_size() -> None:
     bead, place = check.where.removesuffix(" mm").split(", ")
     assert bead == "bead 1"
     assert abs(float(place) - plan.trajectory.s[i] / MM) <= 1.1
+    assert abs(check.sample - i) <= 7  # within that millimetre
     assert found.metrics["flow_error_max"] == check.worst
 
 

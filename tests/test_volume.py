@@ -312,6 +312,13 @@ def test_level_guides_give_level_layers(tmp_path: Path) -> None:
         assert (dome(x, y) * 1e-3 > (bead.layer + 0.5) * 0.5e-3 - 1e-6).all()
 
 
+def test_a_low_upper_surface_cuts_nothing_off(tmp_path: Path) -> None:
+    """It shapes layers; the body is printed to its own top."""
+    low, own = (built(tmp_path, block(flat(3.0)), f"  upper: {{z_mm: {z}}}") for z in (1, 3))
+    assert low.layers == own.layers
+    np.testing.assert_allclose(max(bead.points[:, 2].max() for bead in low.beads), 3e-3, atol=1e-6)
+
+
 @pytest.mark.slow
 def test_layers_may_begin_at_a_mesh(tmp_path: Path) -> None:
     """Two wedges, one on the other: layers begin along the lower one's top, parallel to it."""

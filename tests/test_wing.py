@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.wing import CASES
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.problem.layers import AerofoilLayersSpec
@@ -411,3 +414,16 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
         build_toolpath(problem(change))
     assert field in (caught.value.field or "")
     assert reason in caught.value.reason
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_conventional_case_is_a_problem_and_stands_on_the_page(case: str) -> None:
+    """As the command plans it, so the page says it: the settings are the same, and the problem takes them."""
+    wing = load_problem("naca0015_wing", CASES[case])
+    assert wing.process.extruder.motor == ("on_off" if case == "curved layers" else "e_axis")
+    page = (Path(__file__).parents[1] / "docs" / "problems" / "naca0015_wing.md").read_text(encoding="utf-8")
+    lines = [
+        shlex.split(line) for line in page.splitlines() if line.startswith("    .venv/bin/python -m planner.solve")
+    ]
+    named = [[value for word, value in itertools.pairwise(line) if word == "--set"] for line in lines]
+    assert list(CASES[case]) in named

@@ -293,7 +293,7 @@ def _place(plan: Plan, sample: int) -> tuple[int, float]:
 def in_words(checks: Sequence[Check]) -> str:
     """The checks that fail, each with its worst value and place."""
     failed = [check for check in checks if not check.ok]
-    return "; ".join(f"{check.name}: {check.worst:.4g} {check.unit}, {check.where}" for check in failed)
+    return "; ".join(f"{check.name}: {check.worst:.4g} {check.worst_unit}, {check.where}" for check in failed)
 
 
 def learn_command() -> Command:

@@ -57,6 +57,17 @@ ROWS = {
 }
 
 
+# Units of checks that count, where it is one
+_OF_ONE = {
+    "places": "place",
+    "parts": "part",
+    "samples and events": "sample or event",
+    "beads that do not": "bead that does not",
+    "motions that are not": "motion that is not",
+    "programs that do not": "program that does not",
+}
+
+
 @dataclass(frozen=True)
 class Check:
     """One named check of the verifier: the worst value found, its limit, and where it stands.
@@ -73,6 +84,16 @@ class Check:
     where: str
     least: bool = False
     sample: int = -1
+
+    @property
+    def worst_unit(self) -> str:
+        """The unit as it stands after the worst value: 1 place, 2 places."""
+        return _OF_ONE.get(self.unit, self.unit) if self.worst == 1.0 else self.unit
+
+    @property
+    def words(self) -> str:
+        """The check in one line: its name, worst value, limit and place."""
+        return f"{self.name}: {self.worst:.4g} {self.worst_unit}, limit {self.limit:.4g} ({self.where})"
 
 
 @dataclass(frozen=True)
@@ -593,8 +614,4 @@ def _rows(plan: Plan) -> list[tuple[str, str]]:
 
 def _failed(plan: Plan) -> list[str]:
     """A line for each check that fails."""
-    return [
-        f"{check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
-        for check in plan.checks
-        if not check.ok
-    ]
+    return [check.words for check in plan.checks if not check.ok]

@@ -128,11 +128,7 @@ class TriedDisplacement:
     @property
     def failures(self) -> tuple[str, ...]:
         """What fails, and where."""
-        failed = (
-            f"{check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
-            for check in self.checks
-            if not check.ok
-        )
+        failed = (check.words for check in self.checks if not check.ok)
         return (self.refusal,) if self.refusal else tuple(failed)
 
 

@@ -442,7 +442,7 @@ class SolidSpec(SourceSection):
 
 
 class GuideSpec(MiddleSpec):
-    """A surface that the layers begin at, or come to: a level plane, or the upper side of a mesh."""
+    """A surface that the layers begin at, or whose shape they come to: a level plane, or the upper side of a mesh."""
 
 
 class InfillSpec(Section):
@@ -465,7 +465,10 @@ class VolumeLayersSpec(Section):
         "lower", "the surface that the layers begin at: z_mm or mesh; default: level with the body's lowest point", None
     )
     upper: GuideSpec | None = key(
-        "upper", "the surface that the layers come to: z_mm or mesh; default: the body's own top", None
+        "upper",
+        "the surface whose shape the layers come to, z_mm or mesh; it cuts nothing off: they go on up to the body's top; "
+        "default: that top",
+        None,
     )
     height: Thickness = key("height_mm", "vertical height of a layer where it is greatest [mm]")
     least_height: Thickness | None = key(

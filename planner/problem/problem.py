@@ -18,7 +18,15 @@ from planner.problem.as_printed import AsPrintedSpec
 from planner.problem.as_run import AsRunSpec
 from planner.problem.cell import CellSpec, CollisionSpec, NozzleSpec
 from planner.problem.fields import IDENTIFIER, Section, key, one_of, refusal
-from planner.problem.layers import KINDS, AnyLayersSpec, GcodeLayersSpec, WaypointLayersSpec, check_body
+from planner.problem.layers import (
+    KINDS,
+    AerofoilLayersSpec,
+    AnyLayersSpec,
+    FaceLayersSpec,
+    GcodeLayersSpec,
+    WaypointLayersSpec,
+    check_body,
+)
 from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.part import PartSpec
 from planner.problem.process import ProcessSpec, check_board, check_materials
@@ -200,6 +208,19 @@ class Problem(Section):
             size = f"{bead.width * 1e3:g} mm wide and {bead.height * 1e3:g} mm high"
             raise refusal(f"a rounded bead cannot be {size}", "at least as wide as high", item="bead")
         return process
+
+    @field_validator("resolve")
+    @classmethod
+    def _as_its_paper(cls, resolve: ResolveSpec, info: ValidationInfo) -> ResolveSpec:
+        """The published way of the paper that prints such things."""
+        layers, process = info.data.get("layers"), info.data.get("process")
+        if "published" in resolve.model_fields_set or layers is None or process is None:
+            return resolve
+        if process.fibre is not None:
+            return resolve.model_copy(update={"published": "along_path"})
+        if isinstance(layers, FaceLayersSpec | AerofoilLayersSpec):
+            return resolve.model_copy(update={"published": "fixed_heading"})
+        return resolve
 
     def model_post_init(self, context: Any) -> None:
         """Keep the places of the values, which come as the validation's context."""

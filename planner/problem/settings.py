@@ -40,6 +40,8 @@ Letter = Annotated[str, one_of(("A", "B", "C", "E", "U", "V", "W"))]
 
 StrategyName = Literal["as_published", "fixed", "greedy", "ladder", "sqp", "nlp"]
 STRATEGY_NAMES: tuple[str, ...] = get_args(StrategyName)
+PublishedName = Literal["turning_table", "fixed_heading", "along_path"]
+PUBLISHED_NAMES: tuple[str, ...] = get_args(PublishedName)
 QPName = Literal["interior_point", "osqp"]
 QP_NAMES: tuple[str, ...] = get_args(QPName)
 TimingName = Literal["jerk_limited", "toppra"]
@@ -228,6 +230,12 @@ class ResolveSpec(Section):
         "timing",
         f"how joint paths are timed: {' or '.join(TIMING_NAMES)}, a reference that limits no jerk and is not verified",
         "jerk_limited",
+    )
+    published: Annotated[PublishedName, one_of(PUBLISHED_NAMES)] = key(
+        "published",
+        f"which paper strategy as_published follows: {', '.join(PUBLISHED_NAMES)}; unless set, along_path with "
+        "process.fibre and fixed_heading on faces and aerofoils",
+        "turning_table",
     )
     weights: WeightsSpec = key(
         "weights", "factors on what the refinement of strategy sqp weighs against each other; each has a default", {}

@@ -124,6 +124,7 @@ EXAMPLES: dict[str, str] = {
     "prime": "{length_mm: 2}",
     "profile_mm": "[[0, 0.6], [7, 4.6], [40, 4.6]]",
     "project": "z",
+    "published": "along_path",
     "purge_mm": "20",
     "purge_speed_mm_s": "3",
     "qp": "osqp",

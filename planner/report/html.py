@@ -17,7 +17,7 @@ from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import events_section, materials_section
 from planner.report.joints import shown_units
 from planner.report.judged import JudgedList, judged
-from planner.report.places import dips_section, without_stops
+from planner.report.places import check_advice, dips_section, without_stops
 from planner.report.robustness import robustness_section
 from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.report.scene import plan_scene
@@ -157,7 +157,7 @@ def _header(plan: Plan) -> Markup:
         beads=plan.metrics.get("beads", len(plan.beads)),
         layers=plan.metrics.get("layers", plan.layers),
         resumed=resumed_words(plan) if plan.first_bead else "",
-        failed=[check for check in plan.checks if not check.ok],
+        failed=[(check, check_advice(check.name, plan, check.sample)) for check in plan.checks if not check.ok],
     )
 
 

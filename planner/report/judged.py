@@ -205,10 +205,9 @@ def _checked(plan: Plan, others: Sequence[Mapping[str, float]], worst: Mapping[s
             row, scale = JudgedRow(name, UNITS.get(check.unit, check.unit), significant(check.worst)), 1.0
         limit = f"{'≥' if check.least else '≤'}\u2009{significant(check.limit * scale)}"
         pair = next(((each.a, each.b) for each in plan.approaches if _is_pair(check, each)), ())
+        unit = check.worst_unit if row.unit == check.unit else row.unit
         told = (
-            f"{row.value} {row.unit}".strip()
-            + f", limit {limit}"
-            + (f"; {place.joint}" if place and place.joint else "")
+            f"{row.value} {unit}".strip() + f", limit {limit}" + (f"; {place.joint}" if place and place.joint else "")
         )
         advice = check_advice(name, plan, sample)
         yield replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -117,6 +117,17 @@ BUSY = "A wider process.corner_tolerance_mm asks less of it in corners, a lower 
 IN_TRAVEL = "It travels there, as quickly as its limits allow: nothing is printed."
 LEANS = "process.cones.nozzle_normal_deg bounds the lean; 0 holds the nozzle upright on the surface."
 NEAR = f"More room: {PLACEMENT}; collision.nozzle_mm and collision.arm_mm say what has to be kept."
+COUNTED = "process.crossings: told counts them, and refuses nothing."
+EVEN_SPEED = (
+    "a wider process.corner_tolerance_mm, or a lower process.speed_mm_s. With process.extruder.motor: e_axis or speed_demand "
+    "the flow follows the speed; process.extruder.flow_tolerance says how uneven it may be."
+)
+LAGGING = "Beads longer than what is laid in process.extruder.lag_s, a lower process.speed_mm_s, or finer samples (--dt 0.002)."
+SAMPLED = "Finer samples (--dt 0.002), where beads are short or their width changes quickly."
+STEERED = (
+    "A curve of layers.source that bends less there, or a wider process.corner_tolerance_mm where it has a corner; "
+    "process.fibre.least_radius_mm is to say what the tow bears."
+)
 ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}  # derivative by time
 
 
@@ -220,7 +231,9 @@ def drawn(name: str) -> str:
 
 
 def check_advice(name: str, plan: Plan, sample: int) -> str:
-    """What would help where a check is worst, by what it is about."""
+    """What may help where a check is worst, by what it is about; sample: -1 where it is at none."""
+    if name in REMEDIES:
+        return REMEDIES[name](plan)
     for word, advice in (("clear", NEAR), ("singular", SINGULAR), ("branch", SINGULAR), ("range", STOPS)):
         if word in name:
             return advice
@@ -264,7 +277,34 @@ def _of_dip(plan: Plan, sample: int) -> str:
 
 
 def _busy(plan: Plan, sample: int) -> str:
-    return BUSY if plan.trajectory.bead[sample] >= 0 else IN_TRAVEL
+    return BUSY if sample < 0 or plan.trajectory.bead[sample] >= 0 else IN_TRAVEL
+
+
+def _uncrossed(plan: Plan) -> str:
+    """What to change where beads cross."""
+    path = getattr(plan.problem.layers.source, "path", None)  # of faces: how they are covered
+    if path is None:
+        return f"Lines of one layer that cross have to be parted where they are drawn. {COUNTED}"
+    others = [f"layers.source.path: {name}" for name in ("rows", "tour") if name != path]
+    of_samples = "" if path == "rows" else "another layers.source.direction, "
+    return f"Another way over the faces: {', '.join(others)}, {of_samples}another layers.source.spacing_mm. {COUNTED}"
+
+
+def _even_flow(plan: Plan) -> str:
+    """What to change where flow is uneven."""
+    process, layers = plan.problem.process, plan.problem.layers
+    if process.extruder.motor == "on_off":
+        joined = getattr(layers, "passes", None) == "joined"
+        apart = "layers.passes: apart, so that it is off in the turns of zig-zags; " if joined else ""
+        return f"A motor that is only on or off needs an even speed: {apart}{EVEN_SPEED}"
+    return LAGGING if process.extruder.lag > 0.0 else SAMPLED
+
+
+REMEDIES: dict[str, Callable[[Plan], str]] = {
+    "beads cross nowhere": _uncrossed,
+    "flow per millimetre": _even_flow,
+    "steering radius of the fibre": lambda plan: STEERED,
+}
 
 
 def _busiest(plan: Plan, name: str, sample: int) -> int:

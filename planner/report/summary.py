@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from planner.report.extruder import events_words, materials_words
-from planner.report.places import place_words, without_stops, worst_first
+from planner.report.places import check_advice, place_words, without_stops, worst_first
 from planner.report.robustness import robustness_words
 from planner.report.wording import (
     METRICS,
@@ -95,8 +95,10 @@ def print_summary(
             out.print(line, markup=False, soft_wrap=True)
     for check in plan.checks:
         if not check.ok:
-            text = f"FAILED {check.name}: {check.worst:.4g} {check.unit}, limit {check.limit:.4g} ({check.where})"
-            out.print(text, markup=False, soft_wrap=True)
+            out.print(f"FAILED {check.words}", markup=False, soft_wrap=True)
+            advice = check_advice(check.name, plan, check.sample)
+            if advice:
+                out.print(f"  what may help: {advice}", markup=False, soft_wrap=True)
     if plan.verified:
         verdict = f"verified: {len(plan.checks)} checks hold"
         if plan.headroom is not None:

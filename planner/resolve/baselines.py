@@ -1,4 +1,4 @@
-"""Strategies to compare with: as published, fixed, greedy."""
+"""Strategies to compare with: fixed, greedy. What papers did is in `published.py`."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.base.geometry import TURN
-from planner.cell.cell import Cell, Limits, rigid_inverse
-from planner.cell.kinematics.chain import Chain
+from planner.cell.cell import Cell, Limits
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.infeasible import refuse_rung
@@ -20,50 +19,6 @@ from planner.resolve.nodes import Nodes
 from planner.resolve.prices import DIP_PRICE
 from planner.resolve.search import JUMP, SPEED_SHARE, LadderRoute, greedy_route, joint_limits
 from planner.toolpath.task import NozzleTask
-
-
-@with_each_nozzle
-def as_published(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tuple[JointPath, ...]:
-    """The nozzle's orientation in the world stays that of the home posture, as nearly as its axis allows; the
-    table does all the turning (Pollard, eq. 2 and section 3). The branch is that of the home posture.
-
-    On a fixed bed nothing turns but the arm: roll keeps the nozzle as near to home's orientation as it can.
-    """
-    na = len(cell.arm)
-    R_home = cell.arm.poses(cell.home[None, :na])[0, :3, :3]
-    branch = int(cell.inverse.branches(cell.home[None, :na])[0])
-    paths = []
-    for task in tasks:
-        chosen = _turn_to_face(cell, task, R_home[:, 2])
-        R_world_part = cell.holder.poses(chosen[:, : len(cell.holder)])[:, :3, :3]
-        R_world_task = R_world_part @ task.frames
-        # the roll that brings the nozzle's x and y closest to home's: maximises the trace of R_home^T R
-        M = np.einsum("ji,njk->nik", R_home, R_world_task)
-        roll = np.unwrap(np.arctan2(M[:, 1, 0] - M[:, 0, 1], M[:, 0, 0] + M[:, 1, 1]))
-        roll = -roll
-        paths.append(JointPath(task, roll, upright(task), postures(cell, task, roll, chosen, branch), branch))
-    return choose_turns(cell, paths)
-
-
-def _turn_to_face(cell: Cell, task: NozzleTask, direction: Array) -> Array:
-    """Chosen joints (n, k) of which the holder's last axis turns the nozzle axis nearest to a direction of the world,
-    the others resting at home."""
-    nh = len(cell.holder)
-    chosen = np.tile(cell.home[list(cell.chosen)], (len(task), 1))
-    if nh == 0 or cell.holder.slides[-1]:
-        return chosen
-    before = Chain(
-        cell.holder.names[:-1], cell.holder.placements[:-1], cell.holder.axes[:-1], cell.holder.placements[-1]
-    )
-    T_before, k = before.poses(chosen[:1, : nh - 1])[0], cell.holder.axes[-1, :3]
-    R_after = cell.holder.T_last_tip[:3, :3]
-    a = task.frames[:, :, 2] @ R_after.T  # nozzle axis in the turning frame
-    d = rigid_inverse(T_before)[:3, :3] @ direction
-    a = a - (a @ k)[:, None] * k
-    d = d - (d @ k) * k
-    sine, cosine = np.cross(a, d) @ k, a @ d
-    chosen[:, nh - 1] = np.unwrap(np.arctan2(sine, cosine))
-    return chosen
 
 
 @with_each_nozzle

@@ -310,7 +310,7 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
     joint. Raises Refusal for a bead along which a joint leaves its range however it is turned.
     """
-    options = of_each(partial(_turns, cell), paths)
+    options = of_each(partial(turns_within, cell), paths)
     limits, na = cell.limits, len(cell.arm)
     home, rate = cell.home, WOUND / limits.velocity
     # the holder waits where the first bead begins, and stays where the last one ends
@@ -333,8 +333,8 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     return tuple(turned[::-1])
 
 
-def _turns(cell: Cell, path: JointPath) -> Array:
-    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home."""
+def turns_within(cell: Cell, path: JointPath) -> Array:
+    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home; raises Refusal without any."""
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
     least, most = path.q.min(axis=0), path.q.max(axis=0)
     each = []

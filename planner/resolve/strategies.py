@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
 from planner.problem.settings import ResolveSpec
-from planner.resolve.baselines import as_published, fixed, greedy
+from planner.resolve.baselines import fixed, greedy
 from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
+from planner.resolve.published import as_published
 from planner.resolve.sqp import sqp
 from planner.toolpath.task import NozzleTask
 

@@ -60,11 +60,12 @@ class Volume:
 
 @dataclass(frozen=True)
 class FlowByLength:
-    """What millimetres of beads get: the largest share by which one that is judged is off, where, and the share of all
-    that are within process.extruder.flow_tolerance."""
+    """What millimetres of beads get: the largest share by which one that is judged is off, where, at which sample (-1 at none),
+    and the share of all that are within process.extruder.flow_tolerance."""
 
     worst: float
     where: str
+    sample: int
     even: float
 
 
@@ -144,7 +145,7 @@ def _flow_per_millimetre(t: Trajectory, flow: FlowByLength, limit: float) -> Che
     """The check of what `_per_millimetre` found."""
     ok = flow.worst <= limit
     where = flow.where if ok else _if_coarse(t, flow.where)
-    return Check("flow per millimetre", flow.worst, limit, "of what a millimetre holds", ok, where)
+    return Check("flow per millimetre", flow.worst, limit, "of what a millimetre holds", ok, where, sample=flow.sample)
 
 
 def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float) -> Check:
@@ -247,6 +248,7 @@ def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends:
     what has been extruded, and by the flow.
     """
     process, t, worst, where = judged.problem.process, judged.trajectory, 0.0, EVERYWHERE
+    sample = -1
     zone = process.extruder.lag + ZONE_SAMPLES * t.dt if process.extruder.lag > 0.0 else 0.0
     even = 0
     seen = 0
@@ -279,7 +281,8 @@ def _per_millimetre(judged: Judged, volumes: Sequence[Volume], out: Array, ends:
         k = int(np.argmax(share))
         if share[k] > worst:
             worst, where = float(share[k]), f"bead {i}, {places[k] * 1e3:.1f} mm"
-    return FlowByLength(worst, where, even / seen if seen else 1.0)
+            sample = int(at[np.argmin(np.abs(t.s[at] - places[k]))])
+    return FlowByLength(worst, where, sample, even / seen if seen else 1.0)
 
 
 def _between(s: Array, length: float) -> tuple[Array, Array]:
