@@ -114,7 +114,7 @@ def cases(changes: Sequence[str]) -> Iterator[str]:
     yield "| | layers, beads | length, m | at speed | slowest, mm/s | least clearance, mm | σ | print, s | verified |"
     yield "|---|---|---|---|---|---|---|---|---|"
     for name, own in CASES.items():
-        plan = solve(load_problem("naca0015_wing", (*own, *changes)), baseline=False)
+        plan = solve(load_problem("naca0015_wing", (*ONE_NOZZLE, *own, *changes)), baseline=False)
         m = plan.metrics
         failed = [check.name for check in plan.checks if not check.ok]
         yield (
