@@ -82,9 +82,9 @@ def test_iges_is_read_as_step_is(tmp_path: Path) -> None:
 def test_a_print_head_from_cad(tmp_path: Path) -> None:
     written(tmp_path, BRepPrimAPI_MakeBox(40.0, 40.0, 60.0).Shape(), "motor.step")
     head = ("diameter_mm: 0.6}", "diameter_mm: 0.6, head: {motor: {mesh: motor.step, centre_mm: [-20, -20, 0]}}}")
-    motor = next(
-        body for body in head_bodies(load_problem(write_small(tmp_path, head)), np.eye(4)) if body.name == "head motor"
-    )
+    problem = load_problem(write_small(tmp_path, head))
+    bodies = head_bodies(problem, problem.cell.nozzle, "cell.nozzle", np.eye(4))
+    motor = next(body for body in bodies if body.name == "head motor")
     assert isinstance(motor.solid, Hull)
     np.testing.assert_allclose(np.ptp(motor.solid.vertices, axis=0), [0.04, 0.04, 0.06], atol=1e-9)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -261,7 +262,7 @@ def test_a_second_arm_need_not_start_where_it_can_work(folder: Path, monkeypatch
     paths = ladder(cell, tasks, problem.resolve)
     away = np.degrees(np.abs(paths[0].q[0, 6:] - cell.home[6:]).max())
     assert away > 5.0
-    monkeypatch.setitem(ladder.__globals__, "_DRAWN", 0)
+    monkeypatch.setattr(import_module("planner.resolve.ladder"), "_DRAWN", 0)
     with pytest.raises(Refusal, match="reach"):
         ladder(cell, tasks, problem.resolve)
 

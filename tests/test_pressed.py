@@ -56,9 +56,11 @@ def judged_of(*beads: tuple[Array, Array]) -> Judged:
         deposit=np.ones(len(tip), dtype=bool), bead=number, s=s, first_bead=0, t=0.01 * np.arange(len(tip))
     )
     motion = SimpleNamespace(tip=tip, axis=rotation[:, :, 2], rotation=rotation)
+    cell = SimpleNamespace(nozzle_name="")
     made: Any = SimpleNamespace(
-        problem=load_problem("peer_cap"), trajectory=t, motion=motion, toolpath=toolpath, cell=None, body=None
-    )
+        problem=load_problem("peer_cap"), trajectory=t, motion=motion, toolpath=toolpath, cell=cell, body=None,
+        stretches=((cell, slice(0, len(tip))),),
+    )  # fmt: skip
     return made  # type: ignore[no-any-return]
 
 

@@ -188,4 +188,4 @@ def test_distances_along_poses_are_exact_where_near_and_a_share_of_the_true_ones
             assert distance[k] == pytest.approx(least, abs=1e-12)
             assert each[tree.number[point[k]]] == pytest.approx(least, abs=1e-12)
         else:
-            assert max(exact, share * least) - 1e-12 <= distance[k] <= least + 1e-12
+            assert max(exact, min(share * least, least)) - 1e-12 <= distance[k] <= least + 1e-12
