@@ -137,7 +137,7 @@ def run(case: Case, tls: tuple[Path, Path] | None) -> Finding:
         certificate_of_it, key = tls if tls is not None and case.version == 2 else (None, None)
         access = Access(password=PASSWORD, version=case.version, certificate=certificate_of_it, key=key)
         machine = start(
-            pace=PACE, read=lambda modules: made, in_use=True, access=access, rws_faults=faults["web"] + faults[STOPPING],
+            pace=PACE, read=lambda modules: (made,), in_use=True, access=access, rws_faults=faults["web"] + faults[STOPPING],
             board_faults=faults["board"] + (("error@9",) if case.layer == STOPPING else ()),
             controller_faults=faults["controller"],
         )  # fmt: skip
