@@ -97,6 +97,7 @@ def test_lines_and_arcs_that_follow_one_another_are_one_curve(tmp_path: Path, ki
     np.testing.assert_array_equal(ring[0], ring[-1])
 
 
+@pytest.mark.slow(keep=("5",))
 @pytest.mark.parametrize("turned", range(8))
 def test_edges_of_a_wire_may_run_either_way(tmp_path: Path, turned: int) -> None:
     """Three edges in a row, each written from either of its ends."""
@@ -128,6 +129,7 @@ def test_a_nurbs_curve_keeps_its_degree_points_and_weights(tmp_path: Path, kind:
     np.testing.assert_allclose((knots - knots[0]) / (knots[-1] - knots[0]), [0, 0, 0, 0.3, 1, 1, 1], atol=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.data(), st.integers(1, 5))
 def test_other_code_reads_the_same_curves(

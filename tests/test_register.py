@@ -397,6 +397,7 @@ def test_both_ways_to_a_turntable_are_told(tmp_path: Path) -> None:
         register(here, tmp_path / "c.csv", Ask(table=True))
 
 
+@pytest.mark.slow
 def test_the_published_answer_is_written_from_nine_contacts_of_one_side(tmp_path: Path) -> None:
     here, off = scene("cylinder_logo"), []
     spec, truth = here.problem.cell.positioner, misplaced(here, (0.8, 0.5), (), (0.4, -0.3))

@@ -98,6 +98,7 @@ def test_harmonic_layers_lean_less_beneath_and_end_on_both_surfaces() -> None:
         np.testing.assert_allclose(harmonic.layer(k).at(plane)[0][:, 2], high, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_verifiers_own_field_is_the_same() -> None:
     linear = stack(12)
     harmonic = linear.harmonic()
