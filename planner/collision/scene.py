@@ -217,6 +217,10 @@ class Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
         return self if self.around is None else _assembled(cell, self.around)
 
+    def for_nozzle(self, cell: Cell, own: Cell) -> Obstacles:
+        """The same obstacles, which are those of a cell, where it has another nozzle in use: its `own` cell."""
+        return self if own is cell else self.of(own)
+
     def with_nozzle_at(self, cell: Cell, nozzle: float) -> Obstacles | None:
         """The same where nozzle and head keep this distance [m], if that is less than they keep; else None."""
         if self.around is None or nozzle >= self.around.nozzle:

@@ -21,7 +21,7 @@ from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, check_size, height_map, planned_top
 from planner.feedback.planned import planned_problem
 from planner.feedback.scan_fit import CloudFit, fit_cloud
-from planner.feedback.scan_frame import FRAMES, UNITS, in_part_frame
+from planner.feedback.scan_frame import FRAMES, in_part_frame
 from planner.feedback.scan_telling import (
     MAP,
     PICTURE,
@@ -37,7 +37,7 @@ from planner.feedback.scan_telling import (
 from planner.planning.options import add_set, add_strategy
 from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem
-from planner.problem.clouds import read_cloud
+from planner.problem.clouds import CLOUD_UNITS, read_cloud
 from planner.problem.yaml_file import Override
 from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import MOST_SHARE, beads_up_to
@@ -173,7 +173,9 @@ def scan_command() -> Command:
     parser.add_argument(
         "--after-layer", type=int, required=True, metavar="K", help="the layer that was printed last, counted from 1"
     )
-    parser.add_argument("--unit", choices=tuple(UNITS), help="of the cloud (default: as its header says, else mm)")
+    parser.add_argument(
+        "--unit", choices=tuple(CLOUD_UNITS), help="of the cloud (default: as its header says, else mm)"
+    )
     parser.add_argument(
         "--frame",
         choices=FRAMES,

@@ -8,7 +8,6 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
 
-UNITS = ("mm", "m")
 FRAMES = ("part", "plate", "world")
 
 

@@ -72,7 +72,7 @@ def best_leans(given: PlanningContext) -> list[Array] | None:
     tilts = np.concatenate([np.zeros((1, 2)), *(most * share * _circle(_AZIMUTHS) for share in _RINGS)])
     found: dict[int, Array | None] = {}
     for own, which in nozzles_of(cell, tasks):
-        obstacles = given.obstacles if own is cell else given.obstacles.of(own)
+        obstacles = given.obstacles.for_nozzle(cell, own)
         found |= zip(which, _least_dear(own, [tasks[i] for i in which], settings, obstacles, tilts, most), strict=True)
     leans = [lean for _, lean in sorted(found.items()) if lean is not None]
     return leans if len(leans) == len(tasks) else None

@@ -44,7 +44,7 @@ def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: f
     Room is left for the runs that pieces have at their ends.
     """
     cell = given.cell.at(task.material)
-    obstacles = given.obstacles if cell is given.cell else given.obstacles.of(cell)
+    obstacles = given.obstacles.for_nozzle(given.cell, cell)
     demand, nodes = coarse_nodes(cell, [task], given.problem.resolve, MOST_NODES, obstacles)
     spin = float(np.linalg.norm(demand.twist[:, 3:], axis=1).max()) / task.speed  # rad/m
     room = given.cell.limits.room + min(_RUNS * given.problem.process.run_in * spin, _MOST_RUNS) + more_room

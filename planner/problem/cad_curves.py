@@ -15,17 +15,14 @@ from OCP.BRepAdaptor import BRepAdaptor_Curve
 from OCP.Geom import Geom_TrimmedCurve
 from OCP.GeomConvert import GeomConvert, GeomConvert_CompCurveToBSplineCurve
 from OCP.IFSelect import IFSelect_ReturnStatus
-from OCP.IGESControl import IGESControl_Reader
-from OCP.Message import Message
 from OCP.Standard import Standard_Failure
-from OCP.STEPControl import STEPControl_Reader
 from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 from OCP.TopExp import TopExp_Explorer
 from OCP.TopoDS import TopoDS
 
 from planner.base.arrays import Array
 from planner.base.isolated import answer
-from planner.problem.cad_files import is_iges
+from planner.problem.cad_facets import quiet_reader
 
 MEETS = 1e-3  # mm between the ends of an edge and of the next one: they are one curve
 _REPAIR = "repair it in a CAD program, and export it anew"
@@ -36,10 +33,7 @@ def curves(request: dict[str, Any]) -> dict[str, Any]:
     """Of curve k `k.degree`, `k.points` (n, 3) [mm], `k.weights` (n) and `k.knots`, in the file's order; `curves`, how many; or why
     there are none. Edges of which each goes on where the one before it ends are one curve."""
     name = Path(request["file"]).name
-    messages = Message.DefaultMessenger_s()
-    for printer in list(messages.Printers()):
-        messages.RemovePrinter(printer)
-    reader = IGESControl_Reader() if is_iges(Path(request["file"]).read_bytes()) else STEPControl_Reader()
+    reader = quiet_reader(request["file"])
     try:
         if reader.ReadFile(request["file"]) != IFSelect_ReturnStatus.IFSelect_RetDone:
             return {"reason": f"{name} is damaged", "hint": _REPAIR}

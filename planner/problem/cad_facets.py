@@ -30,13 +30,18 @@ _MERGED = 6  # decimals of a millimetre: corners on an edge that two faces share
 _REPAIR = "repair it in a CAD program, and export it anew"
 
 
-def facets(request: dict[str, Any]) -> dict[str, Any]:
-    """Corners (n, 3) [mm] and facets (m, 3) of all faces, or why there are none."""
-    name = Path(request["file"]).name
+def quiet_reader(file: str) -> Any:
+    """The reader for a STEP or an IGES file, which prints nothing."""
     messages = Message.DefaultMessenger_s()
     for printer in list(messages.Printers()):
         messages.RemovePrinter(printer)
-    reader = IGESControl_Reader() if is_iges(Path(request["file"]).read_bytes()) else STEPControl_Reader()
+    return IGESControl_Reader() if is_iges(Path(file).read_bytes()) else STEPControl_Reader()
+
+
+def facets(request: dict[str, Any]) -> dict[str, Any]:
+    """Corners (n, 3) [mm] and facets (m, 3) of all faces, or why there are none."""
+    name = Path(request["file"]).name
+    reader = quiet_reader(request["file"])
     try:
         if reader.ReadFile(request["file"]) != IFSelect_ReturnStatus.IFSelect_RetDone:
             return {"reason": f"{name} is damaged", "hint": _REPAIR}

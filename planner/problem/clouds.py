@@ -24,6 +24,7 @@ from planner.problem.mesh_files import GREATEST, SMALLEST, read_corners
 from planner.problem.mesh_files import SUFFIXES as MESHES
 from planner.problem.part import UNITS, ScanSpec
 
+CLOUD_UNITS = ("mm", "m")  # that one may say a cloud has, and that a header may name
 SUFFIXES = (".ply", ".xyz", ".txt", ".csv", ".asc", ".pts", ".npz", ".npy")
 LARGEST_FILE = 500_000_000  # bytes: some ten million points of text
 FARTHEST = 1e9  # of a coordinate, in any unit
@@ -36,7 +37,8 @@ _UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFE
 
 
 def read_cloud(path: Path, unit: str | None = None, option: str = "--unit") -> Array:
-    """The points (n, 3) [m] of a file in the frame that it has; unit of UNITS, mm where neither it nor the file says one.
+    """The points (n, 3) [m] of a file in the frame that it has; unit of CLOUD_UNITS, mm where neither it nor the file says
+    one.
 
     option: where the unit is given. Raises InputError with file and line for what cannot be read, for numbers that are not
     finite, for too few points or too many, and for two units.

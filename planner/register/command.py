@@ -15,9 +15,9 @@ from pathlib import Path
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
-from planner.feedback.scan_frame import UNITS
 from planner.planning.options import add_problem
 from planner.problem import load_problem
+from planner.problem.clouds import CLOUD_UNITS
 from planner.problem.rewrite import write_changed
 from planner.register.finding import (
     Ask,
@@ -163,7 +163,7 @@ def register_command() -> Command:
     parser.add_argument(
         "--noise-mm", metavar="MM", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
     )
-    parser.add_argument("--unit", choices=tuple(UNITS), help="of a scan (default: as its header says, else mm)")
+    parser.add_argument("--unit", choices=tuple(CLOUD_UNITS), help="of a scan (default: as its header says, else mm)")
     parser.add_argument("--suggest", type=int, metavar="N", help="without contacts: where to touch first, N places")
     return parser
 

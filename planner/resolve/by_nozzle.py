@@ -32,8 +32,8 @@ def nozzles_of(cell: Cell, items: Sequence[NozzleTask | JointPath]) -> Iterator[
 def with_each_nozzle(search: Search) -> Search:
     """A search of a result for each bead, made for prints with several nozzles.
 
-    search: (cell, tasks or paths, …) → a result for each; obstacles among its further arguments are those of the cell, and
-    become those of each nozzle's.
+    search: (cell, tasks or paths, …) → a result for each; obstacles among its further arguments, by place or by name, are
+    those of the cell, and become those of each nozzle's.
     """
 
     @wraps(search)
@@ -42,8 +42,13 @@ def with_each_nozzle(search: Search) -> Search:
         for own, which in nozzles_of(cell, items):
             if own is cell and len(which) == len(items):
                 return search(cell, items, *args, **named)
-            others = [each.of(own) if isinstance(each, Obstacles) else each for each in args]
-            found |= zip(which, search(own, [items[i] for i in which], *others, **named), strict=True)
+            others = [_for_nozzle(each, cell, own) for each in args]
+            by_name = {name: _for_nozzle(each, cell, own) for name, each in named.items()}
+            found |= zip(which, search(own, [items[i] for i in which], *others, **by_name), strict=True)
         return tuple(found[i] for i in range(len(items)))
 
     return cast(Search, searched)
+
+
+def _for_nozzle(given: Any, cell: Cell, own: Cell) -> Any:
+    return given.for_nozzle(cell, own) if isinstance(given, Obstacles) else given

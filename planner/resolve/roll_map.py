@@ -276,7 +276,7 @@ def roll_maps(cell: Cell, paths: Sequence[JointPath], obstacles: Obstacles, min_
     around: dict[int, tuple[Cell, Obstacles]] = {}
     columns = _columns(paths, COLUMNS)
     for own, which in nozzles_of(cell, paths):
-        there = obstacles if own is cell else obstacles.of(own)
+        there = obstacles.for_nozzle(cell, own)
         mine = [paths[i] for i in which]
         around |= dict.fromkeys(which, (own, there))
         parts.append(roll_map(own, mine, there, min_sigma, max(round(columns * len(mine) / len(paths)), 2)))

@@ -117,7 +117,7 @@ def plan_travels(
     bounds = ways.bounds_of(cell)
 
     around = {
-        name: (own := cell.at(name), obstacles if own is cell else obstacles.of(own))
+        name: (own := cell.at(name), obstacles.for_nozzle(cell, own))
         for name in dict.fromkeys(bead.material for bead in beads)
     }
 
