@@ -76,6 +76,7 @@ def test_what_is_of_another_kind_is_said(name: str, tmp_path: Path, monkeypatch:
     assert message in str(error.value)
 
 
+@pytest.mark.slow
 def test_numbers_of_numpy_and_any_path_are_taken(tmp_path: Path) -> None:
     plan = solve(small_problem(), dt=np.float64(0.008), first_bead=np.int64(1), baseline=False)
     assert plan.first_bead == 1 and plan.trajectory.dt == 0.008

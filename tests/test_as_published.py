@@ -93,7 +93,7 @@ def test_every_shipped_problem_has_its_baseline(name: str) -> None:
         np.testing.assert_allclose(tip, path.task.tip, atol=1e-6)
 
 
-@pytest.mark.slow(keep=("naca0015_wing",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["naca0015_wing", "propeller_blade"])
 def test_a_fixed_heading_is_the_same_all_over_the_print(name: str) -> None:
     """And the part is held; no singularity is met, though the wing's home posture is near one."""

@@ -68,6 +68,7 @@ def test_no_file_escapes(tmp_path: Path) -> None:
     none_escapes(lambda by: files.attack_file(known, tmp_path, by), "files", 8)
 
 
+@pytest.mark.slow
 def test_no_motion_escapes() -> None:
     none_escapes(lambda by: motions.attack_motion(small_plan(), by), "motions", 2)
     none_escapes(lambda by: motions.attack_plan(small_plan(), by), "plans", 2)
@@ -83,6 +84,7 @@ def test_no_gcode_escapes() -> None:
     none_escapes(lambda by: attack_gcode(small_plan(), gcode(small_plan()), by), "gcode", 40)
 
 
+@pytest.mark.slow(cases=("recordings-*",))
 @pytest.mark.parametrize(("kind", "count"), [("recordings", 6), ("tables", 20), ("clouds", 3)])
 def test_no_measurement_escapes(tmp_path: Path, kind: str, count: int) -> None:
     none_escapes(all_kinds()[kind].prepare(tmp_path), kind, count)

@@ -365,12 +365,7 @@ def replayed(name: str, plan: Plan, text: str) -> tuple[Array, Array, Array, Arr
     return table[:, :3], table[:, 3:6], table[:, 6], table[:, 7]
 
 
-@pytest.mark.slow(
-    cases=(
-        "trunnion",
-        "fork*",
-    )
-)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MACHINES)
 def test_a_spiral_to_the_pole_is_printed_as_planned(name: str) -> None:
     plan, text = written(name)
@@ -425,6 +420,7 @@ def test_modes_come_first_and_a_program_says_what_it_is_for() -> None:
     assert lines[-3:] == ["G94", "M429", "M2"]
 
 
+@pytest.mark.slow
 def test_fibre_heat_and_fan_are_said_to_both_controllers() -> None:
     for name, code, pause in (("trunnion", "M106 P0 S1", "G4 P500"), ("robot", "M106 P0 Q1", "G4 P0.500")):
         plan = on(fibre(), spec(name))

@@ -213,6 +213,7 @@ def test_a_spoilt_bag_is_refused(tmp_path: Path, kind: str, spoilt: Callable[[by
             read_log(path, cell)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bag_with_any_bytes_overwritten_is_read_or_refused(tmp_path: Path, kind: str) -> None:
     """Lengths of records, too, which their packages believe."""
@@ -264,6 +265,7 @@ def test_commands_of_some_joints_are_no_commands(tmp_path: Path) -> None:
     np.testing.assert_allclose(told, q + 0.01, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_a_folder_is_measured_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, cell = cell_of("peer_cap")
     whole = asked_of("peer_cap", "rapid", joints=(3,), most=30.0)

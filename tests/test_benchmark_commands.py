@@ -78,6 +78,7 @@ def test_a_command_runs(name: str, capsys: pytest.CaptureFixture[str], monkeypat
     assert capsys.readouterr().out.strip()
 
 
+@pytest.mark.slow
 def test_the_parts_of_the_optimisers_figures_run(tmp_path: Path) -> None:
     problem = load_problem(write_case("peer_cap", 60, tmp_path))
     label, verified, at_speed, *_ = strategies.row("ladder", problem, "ladder")
@@ -86,6 +87,7 @@ def test_the_parts_of_the_optimisers_figures_run(tmp_path: Path) -> None:
         assert float(rate.split()[0]) > 0.0
 
 
+@pytest.mark.slow
 def test_a_quick_look_has_a_row_for_each_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(strategies, "shipped_problems", lambda: ["peer_cap"])
     *_, row = strategies.overview(["as_published", "fixed"], ())

@@ -58,6 +58,7 @@ def table() -> list[Row]:
     ]
 
 
+@pytest.mark.slow
 def test_the_same_rows_give_the_same_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, folder = tmp_path / "runs.csv", tmp_path / "report"
     for row in table():

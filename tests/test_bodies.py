@@ -179,6 +179,7 @@ def test_a_bowl_from_a_file_of_facets_is_nearly_the_exact_one(tmp_path: Path) ->
         assert lean.max() <= 0.1
 
 
+@pytest.mark.slow(cases=("{ellipsoid*95, 60*",))
 @pytest.mark.parametrize(
     ("part", "words"),
     [

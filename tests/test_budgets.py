@@ -217,6 +217,7 @@ def test_memory_is_what_container_and_machine_leave(tmp_path: Path, monkeypatch:
     assert model.memory() == 123456789.0 < whole
 
 
+@pytest.mark.slow
 def test_more_memory_than_there_is_is_refused_before_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(model, "memory", lambda: 480e6)
     with pytest.raises(

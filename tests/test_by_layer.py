@@ -221,6 +221,7 @@ def test_pieces_of_a_bead_are_as_quick_as_it_was() -> None:
 # --- the plan ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_motion_has_the_speeds_times_and_pauses_that_are_asked_for() -> None:
     plan, t = by_layer(), by_layer().trajectory
     assert plan.verified
@@ -315,6 +316,7 @@ def test_a_print_that_is_resumed_has_the_pauses_that_are_left() -> None:
     assert [event.kind for event in last.trajectory.events if event.kind in ("pause", "cool")] == []
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_on_or_off_runs_at_the_rate_of_each_bead() -> None:
     with tempfile.TemporaryDirectory() as folder:
         process = SPEED + SPEEDS + "  extruder: {motor: on_off, flow_tolerance: 10}\n"

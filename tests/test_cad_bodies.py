@@ -42,6 +42,7 @@ def as_iges(folder: Path, shape: TopoDS_Shape) -> Path:
     return folder / "body.igs"
 
 
+@pytest.mark.slow
 def test_a_body_is_closed_and_faces_outwards(tmp_path: Path) -> None:
     body = body_of(holed(tmp_path))
     assert body.is_watertight
@@ -74,11 +75,13 @@ def test_bodies_of_an_assembly_stand_where_it_puts_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(body.bounds[:, 0], [-80, 120], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_iges_is_read_as_step_is(tmp_path: Path) -> None:
     body = body_of(as_iges(tmp_path, BRepPrimAPI_MakeBox(10.0, 20.0, 30.0).Shape()))
     assert abs(body.volume) == pytest.approx(6000.0)
 
 
+@pytest.mark.slow
 def test_a_print_head_from_cad(tmp_path: Path) -> None:
     written(tmp_path, BRepPrimAPI_MakeBox(40.0, 40.0, 60.0).Shape(), "motor.step")
     head = ("diameter_mm: 0.6}", "diameter_mm: 0.6, head: {motor: {mesh: motor.step, centre_mm: [-20, -20, 0]}}}")

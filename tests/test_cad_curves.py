@@ -87,6 +87,7 @@ def paths_in(path: Path) -> list[np.ndarray]:
     return [each.points for each in nurbs_paths(read_curves(path, complain), lambda _: complain)]
 
 
+@pytest.mark.slow(cases=("igs", "inches"))
 @pytest.mark.parametrize("kind", KINDS)
 def test_lines_and_arcs_that_follow_one_another_are_one_curve(tmp_path: Path, kind: str) -> None:
     way, ring = paths_in(written(compound(*slot()), tmp_path, kind))
@@ -97,7 +98,7 @@ def test_lines_and_arcs_that_follow_one_another_are_one_curve(tmp_path: Path, ki
     np.testing.assert_array_equal(ring[0], ring[-1])
 
 
-@pytest.mark.slow(keep=("5",))
+@pytest.mark.slow
 @pytest.mark.parametrize("turned", range(8))
 def test_edges_of_a_wire_may_run_either_way(tmp_path: Path, turned: int) -> None:
     """Three edges in a row, each written from either of its ends."""
@@ -115,6 +116,7 @@ def test_edges_of_a_wire_may_run_either_way(tmp_path: Path, turned: int) -> None
         assert length == pytest.approx(30.0 + np.hypot(10, 20) + np.hypot(30, 6), abs=1e-6)
 
 
+@pytest.mark.slow(cases=("igs", "inches"))
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_nurbs_curve_keeps_its_degree_points_and_weights(tmp_path: Path, kind: str) -> None:
     points, weights = [(-70, -20, 0), (-25, -55, 4), (25, 15, 0), (70, -20, 9)], (1.0, 0.8, 1.5, 1.0)
@@ -192,6 +194,7 @@ def whole(folder: Path, kind: str = "step") -> bytes:
     return written(compound(*slot()), folder, kind).read_bytes()
 
 
+@pytest.mark.slow(cases=("curves.step-lines*", "curves.step-high*", "curves.step-far*", "curves.step-cusp*"))
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -229,12 +232,14 @@ def test_what_cannot_be_taken_is_told(tmp_path: Path, name: str, content: Any, w
     assert words in str(caught.value) and caught.value.exit_code == 2
 
 
+@pytest.mark.slow
 def test_a_verifier_that_cannot_read_the_file_says_so(tmp_path: Path) -> None:
     box = written(BRepPrimAPI_MakeBox(10.0, 10.0, 10.0).Shape(), tmp_path)
     assert _nurbs_file(box) == NotRead("curves.step: it holds no curve")
     assert isinstance(_nurbs_file(written(compound(*slot()), tmp_path, "igs")), tuple)
 
 
+@pytest.mark.slow
 def test_the_curves_are_those_of_the_problem_file(tmp_path: Path) -> None:
     """The same curve given in the problem, and in a file, is the same polyline."""
     points = [(-70, -20, 0), (-25, -55, 0), (25, 15, 0), (70, -20, 0)]

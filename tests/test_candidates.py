@@ -76,6 +76,7 @@ def helix(folder: Path, turns: float) -> Problem:
     return load_problem(folder / "helix.yaml")
 
 
+@pytest.mark.slow
 def test_a_draft_is_the_first_verified_plan() -> None:
     """Of a print whose travel would have the other strategies asked: in the end its own plan is the best one."""
     draft, whole = solve("peer_cap", draft=True), solve("peer_cap")

@@ -455,6 +455,7 @@ def test_robot_programs_of_others_are_left_alone(run: Callable[..., Outcome], tm
     assert {path.name for path in (tmp_path / "robot").iterdir()} == VERIFIED | set(theirs)
 
 
+@pytest.mark.slow
 def test_wrong_input_leaves_earlier_results(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     assert run("small.yaml", "--quiet").code == 0
@@ -485,6 +486,7 @@ def test_verified_plan(run: Callable[..., Outcome], tmp_path: Path, quiet: list[
     assert str(Path("out") / "small") in outcome.out
 
 
+@pytest.mark.slow
 def test_table_and_files_agree(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     outcome = run("small.yaml", "--quiet", "--dt", "0.008", "--set", "process.speed_mm_s=30", "--out", "deep/er")

@@ -88,6 +88,7 @@ print(caller.outer(kinds.Outer(kinds.{0}(2.0))), sum(caller.outer.stats.cache_hi
 """
 
 
+@pytest.mark.slow
 def test_code_of_a_class_that_has_another_name_now_is_forgotten(tmp_path: Path) -> None:
     for name in ("Inner", "Renamed"):
         texts = {"kinds": KINDS.format(name), "caller": TAKER, "run": TAKEN.format(name)}

@@ -191,6 +191,7 @@ def test_short_pieces_are_left_out_and_counted() -> None:
         core("aerofoil_core", "layers.source.leave_out_share=0.001")
 
 
+@pytest.mark.slow
 def test_a_steep_part_is_left_out() -> None:
     gentle = core("aerofoil_core", "layers.tilt_deg=20", "layers.count=2")
     normals = np.vstack([bead.normals for bead in gentle.beads])
@@ -226,6 +227,7 @@ def test_what_has_grown_is_solid(name: str) -> None:
         assert far.min() > 0.15
 
 
+@pytest.mark.slow
 def test_far_beside_a_core_there_is_only_its_mould() -> None:
     toolpath = core("aerofoil_core")
     last = toolpath.surface.before(len(toolpath.beads))

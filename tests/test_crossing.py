@@ -140,6 +140,7 @@ def test_a_print_that_crosses_is_refused_where_that_is_asked(figure: str, tmp_pa
         assert not plan.verified and "over bead 0" in check.where and check.sample >= 0
 
 
+@pytest.mark.slow
 def test_crossings_are_told_or_not_looked_for(tmp_path: Path) -> None:
     told = plan_of(tmp_path / "told", "cross", "told")
     assert told.metrics["bead_crossings"] == 1 and told.verified

@@ -47,7 +47,7 @@ def own_strategies() -> Iterator[None]:
     STRATEGIES.update(before)
 
 
-@pytest.mark.slow(keep=("03_spiral_from_arrays",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TOLD)
 def test_an_example_runs(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], own_strategies: None

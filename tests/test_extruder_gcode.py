@@ -57,6 +57,7 @@ def times_of(text: str) -> list[tuple[float, str]]:
     return said
 
 
+@pytest.mark.slow
 def test_fibre_is_cut_by_the_published_macro_in_the_wait_that_is_planned() -> None:
     plan = with_board(with_fibre(), sync="free")
     text = gcode(plan)

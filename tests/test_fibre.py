@@ -85,7 +85,7 @@ def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
     assert [event.kind for event in t.events].count("cut") == len(plan.toolpath.beads)
 
 
-@pytest.mark.slow(keep=("program1-fibre_plane",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIBRES)
 @pytest.mark.parametrize("program", [(), PUBLISHED, ("program.chord_mm=0.1", "program.tangent_deg=3")])
 def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str, ...]) -> None:
@@ -96,6 +96,7 @@ def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str
     assert compare(plan, read_rapid_files(rapid_files(plan))).differences() == []
 
 
+@pytest.mark.slow
 def test_no_length_hides_what_chord_and_angle_allow() -> None:
     """Where the curve is nearly straight, segments are longer than the usual cap, unless they are to be shorter."""
     free, usual, short = (
@@ -155,6 +156,7 @@ def test_the_program_is_the_papers() -> None:
     assert '"M109 S280";\n        BwSettle 900;' in text
 
 
+@pytest.mark.slow(cases=("output",))
 @pytest.mark.parametrize("style", ["output", "socket"])
 def test_the_output_falls_at_the_cut_and_stays_low_behind_it(style: str) -> None:
     plan = divided("fibre_plane", f"program.style={style}")
@@ -172,6 +174,7 @@ def test_the_output_falls_at_the_cut_and_stays_low_behind_it(style: str) -> None
     assert LANGUAGES["rapid"].differences(plan, files | {"FibrePlane.mod": spoilt}) != []
 
 
+@pytest.mark.slow
 def test_no_line_feeds_behind_the_cut() -> None:
     plan = divided("fibre_plane")
     files = LANGUAGES["rapid"].write(plan)

@@ -73,6 +73,7 @@ def test_robots_files_are_copied_with_what_was_measured(tmp_path: Path) -> None:
         check_targets(robots, tmp_path / "mine")
 
 
+@pytest.mark.slow
 def test_a_measured_file_is_planned_with_and_measured_again(tmp_path: Path) -> None:
     problem, cell = cell_of("cylinder_logo")
     read, fits, delays = _fitted(tmp_path, "cylinder_logo", (3,))

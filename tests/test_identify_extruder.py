@@ -84,6 +84,7 @@ def test_lag_and_flow_of_a_line_that_was_looked_at(tmp_path: Path, lag: float) -
     assert found.offset == pytest.approx(0.7e-3, abs=0.3e-3)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_scatter(tmp_path: Path) -> None:
     line = asked()[1]
     found = [fit_flow(read_table(weighed(tmp_path, 0.12, 1.0, 0.03e-6, seed), line), line, PLA) for seed in range(24)]

@@ -165,6 +165,7 @@ def test_a_servo_that_lags_does_not_lower_the_jerk(tmp_path: Path) -> None:
     _assert_near(truth, [fit], 0.05)
 
 
+@pytest.mark.slow
 def test_a_few_moves_tell_a_mean_from_a_limited_jerk(tmp_path: Path) -> None:
     _, cell = cell_of("cylinder_logo")
     whole = asked_of("cylinder_logo", joints=(3,), most=30.0)
@@ -292,7 +293,7 @@ def test_limits_that_the_program_had_set_are_told_as_asked(tmp_path: Path) -> No
 # ---- delays --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(keep=("0.012-0.02",))
+@pytest.mark.slow
 @pytest.mark.parametrize(("delay", "lag"), [(0.033, 0.0), (0.012, 0.02), (0.0, 0.045), (0.1, 0.01)])
 def test_delays_are_found_within_a_fraction_of_a_sample(tmp_path: Path, delay: float, lag: float) -> None:
     _, cell = cell_of("cylinder_logo")
@@ -324,6 +325,7 @@ def test_a_profile_of_any_limits_that_a_search_tries_is_finite(
     assert np.isfinite(profile.at(np.linspace(0.0, 10.0, 50))).all()
 
 
+@pytest.mark.slow
 def test_braking_that_is_as_speeding_up_is_not_told(tmp_path: Path) -> None:
     """Commands have no noise, so that a model with braking of its own explains more, by nothing that counts."""
     _, cell = cell_of("cylinder_logo")

@@ -247,6 +247,7 @@ def run_and_log(folder: Path, file: Path) -> tuple[PlannedRun, object]:
     return run, recorded_run(read_log(file, plan.cell), run, plan.cell)
 
 
+@pytest.mark.slow
 def test_a_run_of_a_plan_is_found_in_its_recording(tmp_path: Path):
     _, t, _ = planned()
     run, recorded = run_and_log(tmp_path, written(tmp_path))

@@ -253,6 +253,7 @@ def test_beginnings_are_the_earliest_that_keep_all_lags(seed: int) -> None:
         assert found == pytest.approx(best.x, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_the_motion_keeps_to_the_window_and_waits_no_longer_than_it_must() -> None:
     plain, plan = plan_with(""), plan_with(WINDOW)
     assert plan.verified, failed(plan)
@@ -288,6 +289,7 @@ def test_ages_are_those_of_a_plain_search() -> None:
     assert np.quantile(off, 0.95) < 0.02 and max(off) < 0.2
 
 
+@pytest.mark.slow
 def test_a_window_that_the_motion_cannot_hold_is_told_with_one_that_it_can() -> None:
     plan = plan_with("  interlayer_time: {most_s: 3}\n")
     (check,) = [check for check in plan.checks if not check.ok]

@@ -384,6 +384,7 @@ def test_plan_and_asked_motion_come_back_from_a_file_and_a_changed_one_is_seen(t
 # Run by run.
 
 
+@pytest.mark.slow(cases=("joints late",))
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_runs_bring_simulated_robots_to_their_plan(plan: Plan, robot: str) -> None:
     """To a quarter of what they were off, root mean square, within three runs that teach."""
@@ -395,6 +396,7 @@ def test_runs_bring_simulated_robots_to_their_plan(plan: Plan, robot: str) -> No
     assert most[3] < most[0]
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_program_that_is_nearer_and_goes_on_from_its_own_folder(
     plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -430,6 +432,7 @@ def test_the_command_writes_a_program_that_is_nearer_and_goes_on_from_its_own_fo
     assert {float(row["gain"]) for row in rows} <= {0.5, 1.0}
 
 
+@pytest.mark.slow
 def test_the_model_of_a_controller_teaches_the_program_of_the_first_run(
     plan: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -466,6 +469,7 @@ def test_a_recording_or_the_forecast_is_asked_for(capsys: pytest.CaptureFixture[
     assert "--forecast" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_program_that_cannot_be_safe_is_not_written(plan: Plan, tmp_path: Path) -> None:
     """A clearance that no asked motion keeps: what fails is told, with no program."""
     errors, lessons = lessons_of(plan, tmp_path)
@@ -554,6 +558,7 @@ def test_a_file_of_corrections_with_a_number_beyond_all_is_refused(
         read_corrections(tmp_path / "corrections.csv", plan.toolpath, WRONG)
 
 
+@pytest.mark.slow
 def test_corrections_are_smoothed_on_the_beads_alone_that_lines_do_not_follow(plan: Plan, tmp_path: Path) -> None:
     errors, lessons = lessons_of(plan, tmp_path)
     own = lessons.corrections

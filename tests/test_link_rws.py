@@ -573,6 +573,7 @@ JSON = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=200) | JSON.map(lambda value: json.dumps(value).encode()), st.sampled_from([1, 2]))
 def test_no_answer_is_believed_or_ends_in_a_traceback(body: bytes, version: int) -> None:

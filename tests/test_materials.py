@@ -212,6 +212,7 @@ def test_what_materials_do_not_go_together_with(tmp_path: Path, changes: list[st
 # --- the motion --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_two_materials_are_verified_and_the_robot_rests_at_home_for_the_change() -> None:
     plan = two_materials()
     assert plan.verified, [check for check in plan.checks if not check.ok]

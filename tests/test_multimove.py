@@ -350,6 +350,7 @@ def test_no_statement_of_the_second_task_can_be_missed() -> None:
         assert wrong(written() | {SECOND: left}), lines[k]
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_no_digit_of_the_second_task_can_be_another(data: st.DataObject) -> None:

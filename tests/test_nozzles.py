@@ -148,6 +148,7 @@ def test_all_nozzles_are_obstacles_where_they_are_together_and_only_the_own_one_
             assert (f"nozzle of {other}" in names) == beside
 
 
+@pytest.mark.slow
 def test_slack_at_the_tip_is_that_of_the_nozzle_which_lays_the_bead() -> None:
     plan = two_nozzles()
     problem, toolpath = plan.problem, plan.toolpath
@@ -158,6 +159,7 @@ def test_slack_at_the_tip_is_that_of_the_nozzle_which_lays_the_bead() -> None:
 # --- the plan ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(cases=("one",))
 @pytest.mark.parametrize("mounted", ["together", "one"])
 def test_a_print_with_two_nozzles_is_verified(mounted: str) -> None:
     plan = two_nozzles(mounted)

@@ -111,6 +111,7 @@ def test_a_window_looks_from_its_first_sample_that_counts(
         assert shortage(near)[first] > 0.0
 
 
+@pytest.mark.slow
 def test_no_refined_path_gives_up_the_clearance_that_was_found(
     problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
 ) -> None:
@@ -186,6 +187,7 @@ def test_what_is_in_the_way_of_every_posture_is_named(free: str) -> None:
     assert any(hint.startswith("process.cones.nozzle_normal_deg: ") for hint in caught.value.hints)
 
 
+@pytest.mark.slow
 def test_the_distance_that_would_do_is_named() -> None:
     """A wall 5 mm beside a line: the nozzle is free of it, but not by 2 mm."""
     given = load_problem("cylinder_logo", ["layers.count=1"])

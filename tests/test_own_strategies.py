@@ -43,6 +43,7 @@ def given() -> tuple[Cell, tuple[NozzleTask, ...]]:
     return build_cell(problem), tasks_of(problem, build_toolpath(problem))
 
 
+@pytest.mark.slow
 def test_it_plans_as_any_other_and_stands_beside_the_baseline() -> None:
     register_strategy("my_table", table_turned)
     plan, like = (

@@ -119,6 +119,7 @@ def flange(model: pin.Model, tip: str, q: Array) -> pin.SE3:
 # Placement
 
 
+@pytest.mark.slow(cases=("free0",))
 @pytest.mark.parametrize("free", [JOINTS, ("joint_1", "joint_5", "joint_6"), ()])
 def test_a_second_arm_carries_the_part_as_pinocchio_says(folder: Path, free: tuple[str, ...]) -> None:
     cell = build_cell(problem_of(folder, second_arm(free)))
@@ -228,6 +229,7 @@ def test_what_moves_the_part_reads_back_from_rapid(folder: Path, name: str) -> N
     assert (f"eax_{'abcdef'[len(axes) - 1]} {axes[-1]}" in text) == (cell.second_arm is None)
 
 
+@pytest.mark.slow
 def test_a_turned_bed_stands_in_every_export(folder: Path, tmp_path: Path) -> None:
     plan = plan_of(folder, "bed_turned")
     x, y, z = np.radians([10.0, -8.0, 25.0])
@@ -249,6 +251,7 @@ def test_a_turned_bed_stands_in_every_export(folder: Path, tmp_path: Path) -> No
     write_robot_code(plan, tmp_path)  # compares before it writes
 
 
+@pytest.mark.slow
 def test_robot_code_of_a_second_arm_repeats_the_plan(folder: Path, tmp_path: Path) -> None:
     written = write_robot_code(plan_of(folder, "arm_all"), tmp_path)  # compares before it writes
     both = ["Wave.mod", "Wave_Rob2.mod", "Wave.pgf", "Wave_Rob2.pgf"]

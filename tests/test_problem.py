@@ -798,12 +798,14 @@ def test_any_bytes_are_refused_or_read(folders: Path, raw: bytes) -> None:
 KEYS = st.sampled_from(["name", "cell", "cell.home_deg", "cell.limits.joint_1.range_deg", "process.bead", "a", "part"])
 
 
+@pytest.mark.slow
 @quick
 @given(st.one_of(st.text(max_size=30), st.tuples(KEYS, st.one_of(BITS, st.text(max_size=20))).map("=".join)))
 def test_any_override_is_refused_or_taken(folders: Path, override: str) -> None:
     survives(folders, TEXT.encode(), [override])
 
 
+@pytest.mark.slow
 @quick
 @given(
     radius=st.floats(1, 2000),

@@ -139,6 +139,7 @@ def test_a_whole_solve_holds_and_is_written_as_it_is(name: str, dt: float) -> No
     assert {e["kind"] for e in told} == kinds(name)
 
 
+@pytest.mark.slow(cases=("0.004",))
 @pytest.mark.parametrize("dt", [0.004, COARSE])
 def test_a_check_that_fails_says_where_samples_are_coarse(dt: float) -> None:
     plan = solved("plain", dt)
@@ -260,6 +261,7 @@ def test_a_wait_before_the_first_target_is_not_known() -> None:
 # --- between beads ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(cases=("fibre, all",))
 @pytest.mark.parametrize("name", FIBRES)
 def test_fibre_is_left_and_reached_along_the_normal(name: str) -> None:
     plan = solved(name, 0.001)
@@ -293,6 +295,7 @@ def test_without_fibre_the_nozzle_moves_sideways_while_it_lifts() -> None:
     assert np.linalg.norm(way[clear] - height[clear] * normal) > ON_THE_NORMAL
 
 
+@pytest.mark.slow
 def test_a_slow_retract_is_waited_for_above_the_part() -> None:
     """30 mm of filament at 5 mm/s take 6 s, back and forth 12 s."""
     plan = solved("slow prime and retract")

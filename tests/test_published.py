@@ -223,6 +223,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[SingleJob]:
     return out
 
 
+@pytest.mark.slow
 def test_a_row_for_each_file(
     folder: Path, tmp_path: Path, asked: list[SingleJob], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,6 +74,7 @@ def test_reader_says_what_is_sent_where_and_when():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_foreign_parser_accepts_the_program(monkeypatch):
     config = pytest.importorskip("rapidchecker.config")

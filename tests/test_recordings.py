@@ -75,6 +75,7 @@ def test_any_name_of_a_column_is_looked_at(name: str) -> None:
 # ---- files of robots and other tools -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_recordings_are_read_as_tools_write_them(tmp_path: Path) -> None:
     asked, recording = sample()
     t, q, told = recording.time, recording.executed, recording.commanded

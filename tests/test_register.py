@@ -71,6 +71,7 @@ def apart(one: Placement, other: Placement) -> tuple[float, Array]:
 # Placement
 
 
+@pytest.mark.slow
 def test_rows_are_the_derivatives_of_residuals() -> None:
     here = scene("fibre_bowl")
     points, q = chosen("fibre_bowl", 12)
@@ -161,6 +162,7 @@ def test_a_ball_keeps_its_direction_in_the_problem(tmp_path: Path) -> None:
     assert set(changes) == {"cell.bed_mm"}
 
 
+@pytest.mark.slow
 def test_a_bowl_that_is_not_round_has_no_freedom_left(tmp_path: Path) -> None:
     wide = ("part.ellipsoid.radii_mm=[95, 80, 60]",)
     here = scene("fibre_bowl", *wide)
@@ -235,6 +237,7 @@ def test_a_known_noise_keeps_what_it_explains(tmp_path: Path) -> None:
     assert register(here, file, Ask(noise=1e-4)).fit.kept.all()
 
 
+@pytest.mark.slow
 def test_joint_readings_and_places_say_the_same(tmp_path: Path) -> None:
     here = scene("cylinder_logo")
     truth = misplaced(here, (2.0, -1.0))
@@ -295,6 +298,7 @@ def test_the_height_that_is_told_is_that_of_the_covariance(tmp_path: Path) -> No
     assert np.abs(here.waypoints.points[found.uncertainty.worst]).max() == pytest.approx(70e-3)
 
 
+@pytest.mark.slow
 def test_the_place_to_touch_next_is_the_best_of_all(tmp_path: Path) -> None:
     """Touching there leaves as much of the error as was told, and no other place leaves less."""
     here, truth = scene("fibre_bowl"), misplaced(scene("fibre_bowl"), MOVED)
@@ -433,6 +437,7 @@ def test_least_squares_settle_what_pollards_equation_found() -> None:
     np.testing.assert_allclose([exact.axis, exact.cylinder], [axis, cylinder], atol=1e-9)
 
 
+@pytest.mark.slow(cases=("cylinder_logo-far*", "cylinder_logo-xyz*"))
 @pytest.mark.parametrize(
     ("problem", "columns", "words"),
     [
@@ -640,7 +645,7 @@ def test_contacts_in_one_line_name_the_freedom(tmp_path: Path) -> None:
         register(here, file, Ask())
 
 
-@pytest.mark.slow(cases=("ask0",))
+@pytest.mark.slow
 @pytest.mark.parametrize("ask", [Ask(table=True), Ask(size=True), Ask(free=())])
 def test_what_cannot_be_asked(tmp_path: Path, ask: Ask) -> None:
     here = scene("saddle_ring")
@@ -700,6 +705,7 @@ def run(*arguments: str) -> tuple[int, str]:
     return code, stream.getvalue()
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_problem_whose_surface_goes_through_the_contacts(tmp_path: Path) -> None:
     here = scene("fibre_bowl")
     truth = misplaced(here, MOVED, TURNED)
@@ -758,6 +764,7 @@ def test_the_command_says_when_nothing_is_to_spare(tmp_path: Path) -> None:
     assert code == EXIT_VERIFIED and "keeps the tolerance" in text
 
 
+@pytest.mark.slow
 def test_places_are_suggested_before_any_contact() -> None:
     code, text = run("--suggest", "4", "cylinder_logo", "--table")
     assert code == EXIT_VERIFIED

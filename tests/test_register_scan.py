@@ -116,6 +116,7 @@ def run(*arguments: str) -> tuple[int, str]:
     return code, stream.getvalue()
 
 
+@pytest.mark.slow
 def test_the_command_takes_a_scan_and_writes_the_problem(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     truth = misplaced(dome(), MOVED)
     file, target = write(tmp_path / "scan.xyz", dome_scan(truth)), tmp_path / "new.yaml"

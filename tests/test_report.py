@@ -430,6 +430,7 @@ def test_verdict_in_words(tmp_path: Path) -> None:
     assert "A joint jerk joint_1, joint_4 at t 7.2 s ✗ 131.0 % ≤ 100 ✗ fails ✗ 470.0" in bad
 
 
+@pytest.mark.slow
 @given(st.lists(st.booleans(), min_size=7, max_size=7))
 def test_the_banner_says_printable_only_if_every_check_holds(holds: list[bool]) -> None:
     plan = make_plan(2_000)

@@ -98,7 +98,7 @@ def test_normals_between_corners_are_those_of_the_face(tmp_path: Path, heights: 
     assert (side * bend > least - 2.0).all() and (side * bend < most + 2.0).all()  # 1/m: an end's, not the middle's
 
 
-@pytest.mark.slow(keep=("strip",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHEETS)
 def test_a_true_print_passes(name: str) -> None:
     findings = found(*print_of(name))

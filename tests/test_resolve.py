@@ -803,6 +803,7 @@ def test_a_table_too_slow_for_the_path_is_refused(toolpath: Toolpath) -> None:
         assert np.ptp(path.q[:, 6]) < 1e-9
 
 
+@pytest.mark.slow
 def test_ladder_finds_a_way_where_its_own_coarse_grid_has_one() -> None:
     """A table 900 mm away: the coarse route is feasible, joint limits and all."""
     problem = load_problem(

@@ -110,6 +110,7 @@ def test_joints_pass_the_same_postures_as_in_the_whole_print() -> None:
         assert abs(len(a) - len(b)) <= 1
 
 
+@pytest.mark.slow
 def test_metrics_are_of_what_is_printed_now() -> None:
     plan, all_of_it = resumed(), whole()
     lengths = np.array([bead.length for bead in plan.toolpath.beads])
@@ -133,6 +134,7 @@ def test_the_extruder_starts_anew_with_the_tool_of_the_first_bead() -> None:
     assert resumed().trajectory.extruded[0] == resumed().trajectory.feed[0] == 0.0
 
 
+@pytest.mark.slow
 def test_the_approach_is_clear_of_what_stands() -> None:
     """A bead that stands in the way of an approach is found there, if it is printed before; a new approach avoids it."""
     plan = resumed()
@@ -226,6 +228,7 @@ def test_a_bead_that_is_not_there_is_refused_with_the_range(first_bead: int) -> 
         _solved(first_bead)
 
 
+@pytest.mark.slow
 def test_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(tmp_path)
     path = write_small(tmp_path)

@@ -108,6 +108,7 @@ def test_corners_between_samples_are_within_tolerance() -> None:
 # --- ends and seams ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(polylines())
 @settings(max_examples=40)
 def test_ends_are_kept_and_loops_closed(path: tuple[Array, bool]) -> None:

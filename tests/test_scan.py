@@ -303,6 +303,7 @@ def surroundings() -> Array:
     return np.vstack([dome[aside > 0.3e-3], bed])
 
 
+@pytest.mark.slow
 def test_what_lies_around_the_beads_does_no_harm_but_to_a_fit() -> None:
     top = planned_top(drawn()[1], SCANNED)
     whole = np.vstack([surroundings(), cloud()])
@@ -421,6 +422,7 @@ def test_what_is_told() -> None:
 # Planned and verified.
 
 
+@pytest.mark.slow
 def test_the_rest_of_the_print_is_planned_on_it_and_verified() -> None:
     plan = solved()
     assert plan.verified, failed(plan.checks)

@@ -52,6 +52,7 @@ def errors(toolpath: Toolpath) -> tuple[float, float]:
     return float(np.abs(above(RADII, points)).max()), float(np.degrees(turned).max())
 
 
+@pytest.mark.slow(cases=("ply", "xyz", "stl", "npy"))
 @pytest.mark.parametrize("ending", ["xyz", "ply", "stl", "off", "npy"])
 def test_noise_of_three_tenths_is_smoothed(tmp_path: Path, ending: str) -> None:
     """Of points up to 0.3 mm off, 1 mm apart: the path is within 0.06 mm of the truth, its normals within 0.6 degrees."""
@@ -70,6 +71,7 @@ def test_without_noise_it_is_the_part_itself(tmp_path: Path) -> None:
     assert height < 0.005 and turn < 0.1
 
 
+@pytest.mark.slow
 def test_denser_points_come_nearer(tmp_path: Path) -> None:
     heights = []
     for apart in (2.0, 1.0, 0.5):
@@ -115,6 +117,7 @@ def test_a_hole_is_bridged_where_it_may_be(tmp_path: Path) -> None:
     assert errors(built(tmp_path, "file: dome.xyz, hole_mm: 14"))[0] < 0.15
 
 
+@pytest.mark.slow
 def test_holes_aside_do_no_harm_and_beside_the_scan_curves_leave_it(tmp_path: Path) -> None:
     points = dome(RADII)
     save(tmp_path / "dome.xyz", points[np.hypot(points[:, 0], points[:, 1] - 30) > 8])

@@ -678,6 +678,7 @@ def test_a_start_outside_its_cone_is_repaired(setup_of: Callable[[str], Setup]) 
     assert judged(cell, given, cheap._replace(beyond=0.0), track, floor, model)[0] is given
 
 
+@pytest.mark.slow
 def test_threads_do_not_matter(setup_of: Callable[[str], Setup], monkeypatch: pytest.MonkeyPatch) -> None:
     cell, problem, paths = setup_of("fast")
     monkeypatch.setattr(WINDOWS, "WINDOW", 14)

@@ -121,6 +121,7 @@ def report(plan: Plan, least_mm: float | None, **changes: Array) -> Report:
     return verify(problem, plan.cell, plan.toolpath, trajectory, body=body_of(plan.toolpath, plan.cell))
 
 
+@pytest.mark.slow
 def test_the_least_radius_is_told_and_held_against_the_limit() -> None:
     plan = laid()
     assert plan.verified

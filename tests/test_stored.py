@@ -131,6 +131,7 @@ def test_a_plan_that_was_changed_before_it_was_saved_is_verified_anew(tmp_path: 
     assert changed_since(loaded) == ("problem",) and not as_it_is(loaded).verified
 
 
+@pytest.mark.slow
 def test_a_problem_s_file_may_change_and_a_robot_s_may_not(tmp_path: Path) -> None:
     for path in ROBOTS.glob("irb140.*"):
         shutil.copy(path, tmp_path)

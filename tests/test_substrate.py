@@ -208,6 +208,7 @@ def test_an_edge_has_no_smooth_surface() -> None:
     assert caught.value.gap > FARTHEST_FROM_FACETS
 
 
+@pytest.mark.slow
 def test_distances_of_a_mesh_are_quick_and_signed() -> None:
     rng = np.random.default_rng(2)
     away = rng.normal(size=(20_000, 3))
@@ -397,6 +398,7 @@ BAD = (
 )
 
 
+@pytest.mark.slow(cases=("changes2*",))
 @pytest.mark.parametrize(("changes", "field", "said"), BAD)
 def test_curves_that_do_not_fit_are_refused(changes: tuple[str, ...], field: str, said: str) -> None:
     with pytest.raises(InputError, match=said) as caught:

@@ -658,6 +658,7 @@ def test_random_paths_stay_within_the_flatness(
     assert np.abs(path.points[0] - expected[0]).max() < slack
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.one_of(st.text(alphabet="MmLlHhVvCcSsQqTtAaZz0123456789+-.,eE \n", max_size=40), st.text(max_size=20)),
@@ -673,6 +674,7 @@ def test_garbage_in_attributes_raises_only_input_errors(read: Read, text: str, n
     assert all(np.isfinite(path.points).all() and len(path.points) > 1 for path in paths)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     st.one_of(

@@ -148,6 +148,7 @@ def test_weights_are_factors(start_of: Callable[..., Start]) -> None:
         assert start_of(kind(3.0))[2].price == pytest.approx(3.0 * start_of(kind())[2].price, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_weights_of_a_problem_reach_the_refinement(bead: tuple[Cell, JointPath]) -> None:
     cell, path = bead
     found = {}

@@ -26,6 +26,7 @@ def spoilt(folder: Path, name: str, old: str, new: str) -> Path:
     return path
 
 
+@pytest.mark.slow(cases=("rapidchecker-TwoArms*",))
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 @pytest.mark.parametrize(
     ("tool", "name", "old", "new"),

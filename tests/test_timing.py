@@ -92,6 +92,7 @@ def test_limits_hold_at_the_samples(cell: Cell, path: JointPath) -> None:
     assert max(ratios(timed, cell, dt=5e-4)) <= 1.0
 
 
+@pytest.mark.slow
 @given(paths())
 @settings(max_examples=80)
 def test_from_rest_to_rest_forwards_and_never_too_fast(cell: Cell, path: JointPath) -> None:
@@ -106,6 +107,7 @@ def test_from_rest_to_rest_forwards_and_never_too_fast(cell: Cell, path: JointPa
     np.testing.assert_allclose(timed.s[[0, -1]], path.task.s[[0, -1]], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 @given(paths())
 @settings(max_examples=25)
 def test_samples_lie_on_the_path_that_was_given(cell: Cell, path: JointPath) -> None:

@@ -77,6 +77,7 @@ def stack(count: int) -> Morph:
     return Morph.between(lambda p: np.zeros(len(p)), upper, 6.6e-3 / count, 0.1e-3, 6.6e-3, low, high)
 
 
+@pytest.mark.slow
 def test_harmonic_layers_lean_less_beneath_and_end_on_both_surfaces() -> None:
     linear = stack(12)
     harmonic = linear.harmonic()

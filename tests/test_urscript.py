@@ -247,6 +247,7 @@ def test_blends_that_are_too_small_for_a_steady_speed_are_told() -> None:
     assert 0 < int(told[1]) <= len(small) and float(told[3]) in [round(1e3 * r, 3) for r in small]
 
 
+@pytest.mark.slow
 def test_a_solved_print_on_a_turned_base(tmp_path: Path) -> None:
     """A UR5, whose URDF's base is turned against the controller's, before a leaning nozzle."""
     ur = (

@@ -235,6 +235,7 @@ def with_cuts() -> Plan:
     return with_events(plan, tuple(events))
 
 
+@pytest.mark.slow
 def test_fibre_behind_a_cut_is_drawn_and_not_fed() -> None:
     plan = with_cuts()
     found = report(plan)
@@ -312,6 +313,7 @@ def on_off() -> Plan:
     return solved("process.extruder={motor: on_off, flow_tolerance: 10}")
 
 
+@pytest.mark.slow
 def test_flow_of_a_switched_motor_is_judged_by_the_millimetre() -> None:
     """The same print with the usual tolerance is not verified, and the place is told; a wider one is the user's."""
     plan, usual = on_off(), load_problem_with("process.extruder.motor=on_off")
@@ -329,6 +331,7 @@ def load_problem_with(*changes: str) -> Problem:
         return load_problem(write_small(Path(folder)), changes)
 
 
+@pytest.mark.slow
 def test_a_dip_of_a_switched_motor_is_caught() -> None:
     """A print at speed everywhere passes; the same motion with a rest in the middle of a bead does not."""
     straight = solved("process.extruder.motor=on_off", "process.speed_mm_s=4")

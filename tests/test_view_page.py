@@ -144,6 +144,7 @@ def test_the_address_is_exchanged_for_a_cookie(opened: Opened) -> None:
     assert "/enter/" not in page.url
 
 
+@pytest.mark.slow
 def test_page_from_an_edit_to_two_strategies(opened: Opened) -> None:
     page, problem = opened.page, opened.problem
     opened.until(lambda: opened.names() == ["sqp 1"])

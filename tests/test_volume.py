@@ -142,6 +142,7 @@ def test_layers_share_the_height_of_the_true_ring_out() -> None:
     assert np.degrees(np.arcsin(off)).max() < 0.1
 
 
+@pytest.mark.slow
 def test_beads_are_as_high_as_their_layers_are_apart_along_the_normal() -> None:
     toolpath = ring()
     points, normals, high = (every(toolpath.beads, name) for name in ("points", "normals", "height"))
@@ -271,6 +272,7 @@ def test_a_zigzag_ends_at_a_hole() -> None:
 # Layers between surfaces
 
 
+@pytest.mark.slow
 def test_thin_layers_end_where_they_reach_the_top(tmp_path: Path) -> None:
     """A wedge from 0.4 to 3 mm: layers half as high as the greatest, and fewer of them where it is thin."""
     facets = block(lambda x, y: 1.7 + 1.3 * x / 15.0, size=(30.0, 8.0))
@@ -465,6 +467,7 @@ def test_a_layer_too_narrow_is_left_out_and_told(tmp_path: Path) -> None:
         build_toolpath(strict)
 
 
+@pytest.mark.slow
 def test_too_much_that_is_too_narrow_is_refused(tmp_path: Path) -> None:
     """A plate of 8 mm with a fin of 0.4 mm: printed without the fin only where that is said."""
     facets = boxes(((8.0, 8.0, 2.0), (0, 0, 1)), ((0.4, 8.0, 6.0), (0, 0, 5)))
@@ -502,6 +505,7 @@ def test_facets_that_face_the_other_way_are_turned_and_told(tmp_path: Path) -> N
     assert turned.notes[1:] == right.notes and same_beads(turned, right)
 
 
+@pytest.mark.slow
 def test_a_small_hole_is_closed_and_told_a_wide_one_refused_with_what_would_do(tmp_path: Path) -> None:
     """A triangle of 1 by 0.67 mm is missing, 4 times its area over its rim wide; then a strip of 1 by 8 mm."""
     facets = block(flat(3.0))

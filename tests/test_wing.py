@@ -302,6 +302,7 @@ def test_a_supported_wing_lies_on_its_support(supported: Toolpath) -> None:
             assert gap == pytest.approx(HEIGHT, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_passes_apart_are_those_of_a_zigzag() -> None:
     """Each is a bead, in the same order and direction: the next begins beside the end of the last, one pass away."""
     short = ("layers.source.span_mm=4", "layers.support=null", "layers.count=2")
