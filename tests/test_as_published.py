@@ -108,6 +108,7 @@ def test_a_fixed_heading_is_the_same_all_over_the_print(name: str) -> None:
     assert sigma(cell, found) >= context.problem.resolve.min_sigma
 
 
+@pytest.mark.slow
 def test_on_the_wing_the_nozzle_turns_about_the_span_alone() -> None:
     """Arigela et al., section 2.3.2: one axis of rotation from upright."""
     context = given("naca0015_wing", *ONE_NOZZLE)

@@ -396,6 +396,7 @@ def test_a_spiral_to_the_pole_is_printed_as_planned(name: str) -> None:
     assert filament[-1] == pytest.approx(t.feed[-1] * 1e3, abs=1e-3)
 
 
+@pytest.mark.slow(cases=("trunnion",))
 @pytest.mark.parametrize("name", MACHINES)
 def test_others_read_every_line(name: str) -> None:
     _, text = written(name)

@@ -117,6 +117,7 @@ def test_a_looser_program_has_fewer_lines_and_a_tighter_one_more() -> None:
     assert tight > 1.5 * len(segments(divided("fibre_plane"))[0])
 
 
+@pytest.mark.slow
 def test_lines_are_shorter_where_the_curve_is_tighter() -> None:
     """On an arc of radius r a line that leaves it by e is as long as the root of 8 r e: it grows with the root of r."""
     plan = divided("fibre_plane", "program.chord_mm=0.02")

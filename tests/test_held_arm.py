@@ -34,7 +34,7 @@ def held(name: str, *changes: str) -> Plan:
     return solve_alone(load_problem(name, (*HELD, *changes)))
 
 
-@pytest.mark.slow(keep=("fibre_plane-krl*",))
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "language", "changes"), CASES)
 def test_the_program_moves_one_arm(name: str, language: str, changes: tuple[str, ...]) -> None:
     plan = held(name, *changes)

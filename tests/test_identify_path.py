@@ -256,6 +256,7 @@ def test_a_run_of_a_plan_is_found_in_its_recording(tmp_path: Path):
     assert len(recorded.followed.time) < len(t) and recorded.remarks[0].startswith("columns t_s")
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_at_home_before_is_followed_from_where_it_leaves_for_good(tmp_path: Path):
     def away_and_back(t: Array, q: Array) -> tuple[Array, Array]:
         swing = np.radians(8.0) * np.sin(np.linspace(0.0, np.pi, 500))[:, None] * np.ones(q.shape[1])

@@ -274,6 +274,7 @@ def test_the_motion_keeps_to_the_window_and_waits_no_longer_than_it_must() -> No
     assert not any("interlayer" in check.name for check in plain.checks)
 
 
+@pytest.mark.slow
 def test_ages_are_those_of_a_plain_search() -> None:
     plan, t = plan_with(WINDOW), plan_with(WINDOW).trajectory
     laid = np.flatnonzero(t.deposit)
@@ -301,6 +302,7 @@ def test_a_window_that_the_motion_cannot_hold_is_told_with_one_that_it_can() -> 
     assert f"most_s: {held:g} is held" in check.where
 
 
+@pytest.mark.slow
 def test_no_other_strategy_is_asked_where_none_could_be_quick_enough() -> None:
     plan = plan_with("  interlayer_time: {most_s: 3}\n")
     report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)

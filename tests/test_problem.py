@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import os
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from problem_text import TEXT, load, refused, swap
 from pydantic import BaseModel, ValidationError
 
 from planner.base.errors import InputError
@@ -20,61 +19,11 @@ from planner.problem import Problem, find_problem, load_problem, shipped_problem
 from planner.problem.problem import _models
 from planner.problem.settings import STRATEGY_NAMES
 
-# Lines are counted by the tests: keep one section per line.
-TEXT = """\
-name: test_1
-cell:
-  arm: irb140
-  nozzle: {tip_mm: [-44.51, 9.9, 113.95], axis: [0, 3, 4], diameter_mm: 0.6}
-  home_deg: [30, 20, 30, 90, -80, 60]
-  positioner:
-    robot: irbp_a250
-    origin_mm: [633.5, 9.87, 380]
-    free: [rotation]
-    held_deg: {tilt: 45}
-  limits:
-    joint_1: {range_deg: [-180, 90], speed_deg_s: 200}
-    rotation: {acceleration_rad_s2: 7, jerk_rad_s3: 350}
-part:
-  cylinder:
-    radius_mm: 34
-    height_mm: 100
-layers:
-  source: {svg: drawings/logo.svg, width_mm: 78}
-  wrap: cylinder
-  count: 10
-  height_mm: 0.5
-process:
-  speed_mm_s: 40
-  travel_speed_mm_s: 200
-  bead: {width_mm: 0.6}
-strategy: greedy
-"""
-
 
 @pytest.fixture
 def in_tmp(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def load(text: str | bytes, overrides: Sequence[str] = ()) -> Problem:
-    file = Path("p.yaml")
-    file.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return load_problem(file, overrides)
-
-
-def refused(text: str | bytes, overrides: Sequence[str] = ()) -> InputError:
-    with pytest.raises(InputError) as caught:
-        load(text, overrides)
-    assert caught.value.exit_code == 2
-    assert "\n" not in str(caught.value)
-    return caught.value
-
-
-def swap(old: str, new: str) -> str:
-    assert TEXT.count(old) == 1
-    return TEXT.replace(old, new)
 
 
 # What is right
@@ -723,105 +672,3 @@ def test_error_names_the_line_after_loading(in_tmp: Path) -> None:
     assert problem.error("process.run_in_mm", "x").line == 23, "not in the file: the section around it"
     assert problem.error("resolve.rung_mm", "x").line == 1, "nor the section: where the file starts"
     assert problem.error("process.lift_mm", "x").field == "--set process.lift_mm"
-
-
-# Whatever the bytes, an InputError or a problem
-
-
-def is_sound(value: object) -> bool:
-    if isinstance(value, BaseModel):
-        return all(is_sound(v) for v in value.__dict__.values())
-    if isinstance(value, dict):
-        return all(is_sound(v) for v in value.values())
-    if isinstance(value, tuple):
-        return all(is_sound(v) for v in value)
-    return not isinstance(value, float) or math.isfinite(value)
-
-
-def survives(folder: Path, text: bytes, overrides: Sequence[str] = ()) -> None:
-    file = folder / "p.yaml"
-    file.write_bytes(text)
-    try:
-        problem = load_problem(file, overrides)
-    except InputError as error:
-        assert str(error).isprintable()
-        assert len(str(error)) < 600 + len(str(file))
-    else:
-        assert is_sound(problem)
-
-
-BITS = st.sampled_from(
-    ["& ", "*", "!", "!!x", "?", "- ", ": ", ",", "[", "]", "{", "}", "#", "|", ">", "'", '"', "%", "@", "`", "\\"]
-    + ["\n---\n", "...", "<<: ", "null", "true", ".nan", ".inf", "1e999", "-1", "0", "0x1", "1_0", "&a ", "*a"]
-    + [
-        "\t",
-        "\n",
-        "\r",
-        "\0",
-        "\x85",
-        "\u2028",
-        "\ufeff",
-        "%YAML ",
-        "%TAG ",
-        "\\U",
-        '"\\ud800"',
-        "é",
-        "日",
-        " ",
-        "\n  ",
-    ]
-)
-folders = pytest.fixture(scope="module")(lambda tmp_path_factory: tmp_path_factory.mktemp("fuzz"))
-quick = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-
-
-@quick
-@given(
-    st.lists(
-        st.tuples(st.floats(0, 1), st.integers(0, 12), st.one_of(BITS, st.text(max_size=6))), min_size=1, max_size=4
-    )
-)
-def test_any_mutation_is_refused_or_read(folders: Path, cuts: list[tuple[float, int, str]]) -> None:
-    text = TEXT
-    for where, length, put in cuts:
-        at = int(where * len(text))
-        text = text[:at] + put + text[at + length :]
-    survives(folders, text.encode("utf-8", "surrogatepass"))
-
-
-@quick
-@given(st.one_of(st.binary(max_size=200), st.lists(BITS, max_size=30).map(lambda bits: " ".join(bits).encode())))
-def test_any_bytes_are_refused_or_read(folders: Path, raw: bytes) -> None:
-    survives(folders, raw)
-
-
-KEYS = st.sampled_from(["name", "cell", "cell.home_deg", "cell.limits.joint_1.range_deg", "process.bead", "a", "part"])
-
-
-@pytest.mark.slow
-@quick
-@given(st.one_of(st.text(max_size=30), st.tuples(KEYS, st.one_of(BITS, st.text(max_size=20))).map("=".join)))
-def test_any_override_is_refused_or_taken(folders: Path, override: str) -> None:
-    survives(folders, TEXT.encode(), [override])
-
-
-@pytest.mark.slow
-@quick
-@given(
-    radius=st.floats(1, 2000),
-    count=st.integers(1, 10_000),
-    turns=st.floats(-3600, 3600),
-    tip=st.tuples(*[st.floats(-1e5, 1e5)] * 3),
-)
-def test_values_come_back(
-    folders: Path, radius: float, count: int, turns: float, tip: tuple[float, float, float]
-) -> None:
-    text = swap("radius_mm: 34", f"radius_mm: {radius!r}").replace("count: 10", f"count: {count}")
-    text = text.replace("-80, 60]", f"-80, {turns!r}]").replace("[-44.51, 9.9, 113.95]", str(list(tip)))
-    file = folders / "values.yaml"
-    file.write_text(text)
-    problem = load_problem(file)
-    assert problem.part.cylinder.radius * 1000 == pytest.approx(radius, rel=1e-15)
-    assert problem.layers.count == count
-    assert problem.cell.home[5] * 180 / math.pi == pytest.approx(turns, rel=1e-14)
-    assert tuple(1000 * x for x in problem.cell.nozzle.tip) == pytest.approx(tip, rel=1e-15)

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
-import subprocess
-import sys
 from collections.abc import Sequence
 from html import unescape
 from importlib.metadata import distribution
@@ -19,25 +16,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from matplotlib.image import imread
 from plotly.offline import get_plotlyjs
-from report_fixtures import CENTRE, HEIGHT, RADIUS, SHAPE, make_beads, make_plan, make_problem, with_dips, write_folder
+from report_fixtures import CENTRE, RADIUS, SHAPE, make_beads, make_plan, make_problem, with_dips
 from report_page import figures, library, own_text, points, values, visible
 from solved import small_plan
 
-from planner.base.errors import InputError, OutputError
-from planner.export.write import write_part
+from planner.base.errors import OutputError
 from planner.plan import Check, Event
 from planner.plan.measures import CHECKS
 from planner.problem import Problem, load_problem
 from planner.problem.fields import described
-from planner.report import picture, places
+from planner.report import places
 from planner.report.charts import joint_charts, time_charts
 from planner.report.extruder import even_flow, flow_note
 from planner.report.failure import write_failure_report
 from planner.report.html import _command, _header, write_report
 from planner.report.judged import DEAREST, HEADLINES, MARGINS, judged
-from planner.report.picture import read_part
 from planner.report.places import MOST_MARKS, MOST_ROWS, check_advice, worst_samples
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
@@ -712,103 +706,6 @@ def test_failure_report_without_any_bead(tmp_path: Path) -> None:
     )
     assert figures(tmp_path / "f.html")["scene"] is None
     assert "No plan: this cannot be printed" in visible(tmp_path / "f.html")
-
-
-# ---- the picture -------------------------------------------------------------------------------------------------
-
-
-def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
-    plan = make_plan(6_000)
-    write_folder(plan, tmp_path / "out")
-    write_part(plan, tmp_path / "out")
-    assert picture.main([str(tmp_path / "out"), str(tmp_path / "p.png")]) == 0
-    image = imread(tmp_path / "p.png")[:, :, :3]
-    assert image.shape[0] > 800 and image.shape[1] > 1500
-    left = image[:, : image.shape[1] // 2].reshape(-1, 3)
-    blue = np.array([0x2D, 0x5C, 0x9E]) / 255
-    assert (np.abs(left - blue).max(axis=1) < 0.05).mean() > 0.005, "beads at the commanded speed"
-    grey = (np.ptp(left, axis=1) < 0.11) & (left.mean(axis=1) > 0.6) & (left.mean(axis=1) < 0.97)
-    assert grey.mean() > 0.15, "the shaded part"
-
-
-@pytest.mark.slow
-def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
-    plan = make_plan(6_000)
-    pictures = []
-    for name, each in (("none", plan), ("some", with_dips(plan))):
-        write_folder(each, tmp_path / name)
-        picture.draw_picture(tmp_path / name, tmp_path / f"{name}.png")
-        pictures.append(imread(tmp_path / f"{name}.png")[:, :, :3])
-    half = pictures[0].shape[1] // 2
-    none, some = (image[:, :half] for image in pictures)
-    dots = (some.min(axis=2) > 0.97) & (none.max(axis=2) < 0.97)
-    rims = (some.max(axis=2) < 0.1) & (none.max(axis=2) > 0.2)
-    assert dots.sum() > 100 and rims.sum() > 100
-    old = json.loads((tmp_path / "none" / "plan.json").read_text())
-    del old["dips"]
-    (tmp_path / "none" / "plan.json").write_text(json.dumps(old))
-    picture.draw_picture(tmp_path / "none", tmp_path / "old.png")  # of a plan that does not tell of dips
-    assert (tmp_path / "old.png").exists()
-
-
-def test_the_part_is_drawn_behind_its_lines(tmp_path: Path) -> None:
-    plan = make_plan(6_000)
-    write_folder(plan, tmp_path / "bare")
-    write_folder(plan, tmp_path / "whole")
-    write_part(plan, tmp_path / "whole")
-    triangles = read_part(tmp_path / "whole")
-    assert np.allclose(triangles.min(axis=(0, 1)), [*(CENTRE - RADIUS) * 1e3, 0.0], atol=1e-3)
-    assert np.allclose(triangles.max(axis=(0, 1)), [*(CENTRE + RADIUS) * 1e3, HEIGHT * 1e3], atol=1e-3)
-    pictures = []
-    for name in ("bare", "whole"):
-        picture.draw_picture(tmp_path / name, tmp_path / f"{name}.png")
-        pictures.append(imread(tmp_path / f"{name}.png")[:, :, :3])
-    half = pictures[0].shape[1] // 2
-    white = [(image[:, :half] > 0.999).all(axis=2).mean() for image in pictures]
-    assert white[1] < 0.75 * white[0], "a shaded body where there was paper"
-    assert len(read_part(tmp_path / "bare")) == 0
-    (tmp_path / "bare" / "report_part.stl").write_bytes(b"solid nothing")
-    with pytest.raises(InputError, match="no triangles"):
-        read_part(tmp_path / "bare")
-
-
-def test_picture_refuses_what_is_not_a_plan(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert picture.main([str(tmp_path / "none"), str(tmp_path / "p.png")]) == 2
-    assert "no such folder" in capsys.readouterr().err
-    folder = tmp_path / "out"
-    write_folder(make_plan(2_000), folder)
-    table, summary = folder / "trajectory.csv", folder / "plan.json"
-    whole, said = table.read_text(), summary.read_text()
-
-    for text, pattern in (
-        (
-            whole.replace("speed_mm_s", "speed_mms", 1),
-            r"trajectory.csv:1: speed_mm_s: no such column \(there is speed_mms",
-        ),
-        (whole.replace("0.004,", "zero,", 1), "not a table of numbers"),
-        (whole.splitlines()[0] + "\n", "empty"),
-    ):
-        table.write_text(text)
-        with pytest.raises(InputError, match=pattern):
-            picture.draw_picture(folder, tmp_path / "p.png")
-    table.write_text(whole)
-    for text, pattern in (("{", "plan.json:1: not JSON"), (said.replace('"verified"', '"v"'), "verified: missing")):
-        summary.write_text(text)
-        with pytest.raises(InputError, match=pattern):
-            picture.draw_picture(folder, tmp_path / "p.png")
-    summary.unlink()
-    with pytest.raises(InputError, match=r"there is no plan\.json"):
-        picture.draw_picture(folder, tmp_path / "p.png")
-    assert not (tmp_path / "p.png").exists()
-
-
-@pytest.mark.slow
-def test_picture_from_the_command_line(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "planner.report.picture", str(tmp_path / "none"), str(tmp_path / "p.png")]
-    done = subprocess.run(
-        command, capture_output=True, text=True, cwd=Path(__file__).resolve().parent.parent, check=False
-    )
-    assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr
 
 
 # ---- what may help where a check fails ---------------------------------------------------------------------------

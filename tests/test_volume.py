@@ -154,6 +154,7 @@ def test_beads_are_as_high_as_their_layers_are_apart_along_the_normal() -> None:
     assert np.abs(away / high - 1.0).max() < 0.02
 
 
+@pytest.mark.slow
 def test_beads_stay_within_the_walls_and_keep_the_corner_tolerance() -> None:
     for bead in ring().beads:
         away = np.hypot(bead.points[:, 0], bead.points[:, 1])
