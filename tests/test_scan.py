@@ -22,9 +22,8 @@ from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, height_map, planned_top
-from planner.feedback.scan_command import main, scanned_plan
+from planner.feedback.scan_command import in_part_frame, main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
-from planner.feedback.scan_frame import in_part_frame
 from planner.feedback.scan_telling import bound_of, layer_heights, remains, table_of, write_map, write_problem
 from planner.plan import Check, Plan
 from planner.planning.pipeline import solve

@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.base.results import results_folder
-from planner.cell.cell import build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.feedback.height_map import HeightMap, check_size, height_map, planned_top
 from planner.feedback.planned import planned_problem
 from planner.feedback.scan_fit import CloudFit, fit_cloud
-from planner.feedback.scan_frame import FRAMES, in_part_frame
 from planner.feedback.scan_telling import (
     MAP,
     PICTURE,
@@ -47,6 +47,7 @@ from planner.toolpath.build import build_toolpath
 RESULTS_BY = "scan"  # whose files they are, in manifests
 SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
 SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
+FRAMES = ("part", "plate", "world")  # of clouds
 _LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
 
 
@@ -106,6 +107,19 @@ def _measured(options: argparse.Namespace, plan: ScannedPlan, radius: float) -> 
         fit = fit_cloud(top, cloud, options.fit, complain)
         cloud = fit.points
     return height_map(top, cloud, radius, complain), fit
+
+
+def in_part_frame(points: Array, frame: str, cell: Cell) -> Array:
+    """Points (n, 3) [m] of a frame of FRAMES in the part frame: its own (the work object of programs), that of the plate
+    which carries it, or the world of a part on a fixed bed. Raises InputError for the world of a part that a positioner
+    turns."""
+    if frame == "part":
+        return points
+    if frame == "world" and cell.holder_robot is not None:
+        hint = "scan it in the frame of its plate (--frame plate), or of the part"
+        raise InputError("the world does not tell where a part is that a positioner turns", field="--frame", hint=hint)
+    T = cell.T_plate_part if frame == "plate" and cell.holder_robot is not None else cell.T_world_holder
+    return np.asarray((points - T[:3, 3]) @ T[:3, :3])
 
 
 def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> ScannedPlan:
