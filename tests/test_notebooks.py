@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import asyncio
 import os
 from pathlib import Path
 
@@ -70,7 +71,10 @@ def test_a_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     notebook = read(name)
     kernel = AsyncKernelManager(kernel_name="python3", transport="ipc", ip=str(tmp_path / "kernel"))
     resources = {"metadata": {"path": str(FOLDER)}}
-    NotebookClient(notebook, km=kernel, timeout=PATIENCE, resources=resources).execute()
+    try:
+        NotebookClient(notebook, km=kernel, timeout=PATIENCE, resources=resources).execute()
+    finally:  # a kernel that was handed over is left running
+        asyncio.run(kernel.shutdown_kernel(now=True))
     outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert sum("image/png" in output.get("data", {}) for output in outputs) >= 2
     assert not [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
