@@ -86,6 +86,12 @@ def menu() -> list[str]:
 
 
 @pytest.mark.parametrize("name", names(PAGES))
+def test_a_page_is_one_version_of_itself(name: str) -> None:
+    """No marks of a merge that nobody settled."""
+    assert not re.search(r"^(?:<{7}|={7}|>{7})(?: |$)", (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("name", names(PAGES))
 def test_links_lead_somewhere(name: str) -> None:
     page = ROOT / name
     for link in LINK.findall(FENCED.sub("", page.read_text(encoding="utf-8"))):
