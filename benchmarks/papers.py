@@ -140,9 +140,7 @@ def arigela() -> tuple[PaperFigure, ...]:
         PaperFigure(wing, "nozzle, °C", 195.0, "process.start.nozzle_c"),
         PaperFigure(wing, "bed, °C", 70.0, "process.start.bed_c"),
         PaperFigure(tapered, "chord at the root, mm", 80.0, "layers.source.chord_mm"),
-        PaperFigure(
-            tapered, "span, mm", 20.0, "layers.source.span_mm", "that long, its support would be in the nozzle's way"
-        ),
+        PaperFigure(tapered, "span, mm", 20.0, "layers.source.span_mm"),
     )
 
 

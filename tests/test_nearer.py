@@ -59,6 +59,9 @@ def test_only_distances_at_which_there_is_a_way_are_planned(tmp_path: Path, chan
         assert nearer.problem.collision.nozzle == told.kept
         assert told.usual == problem.collision.nozzle == 2e-3
         assert nearer.toolpath is given.toolpath
+        own = context_of(nearer.problem, given.cell, given.toolpath)
+        anew = ladder(own.cell, own.tasks, own.problem.resolve, own.obstacles)
+        assert all((known.q == path.q).all() for known, path in zip(nearer.start, anew, strict=True))
 
 
 def test_a_distance_of_ones_own_is_kept(tmp_path: Path) -> None:

@@ -261,6 +261,19 @@ def test_a_print_of_another_input(name: str, key: str, other: str) -> None:
     assert judged_as(name, text.replace(key, other)) & {PART, INSIDE, FILLED, DENSE, DRAWN, LEFT}
 
 
+@pytest.mark.slow
+def test_level_layers_that_wall_in_the_curved_ones() -> None:
+    """Those of a wing that may lean further, and so rise beside the curved layers more steeply than they should."""
+    shallow, steep = (
+        PRINTS["wing on a support"].replace("[15, 0, 6]", f"[15, 0, 6], tilt_deg: {tilt}") for tilt in (12, 75)
+    )
+    problem, toolpath = printed(shallow)
+    level = [bead for bead in printed(steep)[1].beads if (bead.normals == [0.0, 0.0, 1.0]).all()]
+    curved = [bead for bead in toolpath.beads if not (bead.normals == [0.0, 0.0, 1.0]).all()]
+    assert not failed(found(problem, toolpath))
+    assert failed(found(problem, toolpath, [*level, *curved])) & {INSIDE, FILLED, DENSE}
+
+
 def _another_face() -> int:
     """The number of a face of the plate beneath the one called top."""
     part = print_of("faces")[0].part

@@ -280,6 +280,25 @@ def test_level_layers_stand_on_the_bed_and_stay_below_the_curved_ones(supported:
     assert surface.points[:, 2].min() == pytest.approx(2.7000e-3, abs=1e-6), "the wing's own lower surface"
 
 
+@pytest.mark.parametrize("tilt", [20.0, 45.0])
+def test_level_layers_rise_beside_curved_ones_no_steeper_than_these_lean(tilt: float) -> None:
+    """So that a nozzle that stands on the rim of a curved layer, and leans with it, meets no wall."""
+    toolpath = build_toolpath(problem("layers.source.span_mm=4", "layers.count=18", f"layers.source.tilt_deg={tilt}"))
+    curved = next(bead for bead in toolpath.beads if bead.layer == 17)
+    under = curved.points - HEIGHT * curved.normals
+    for rim, outwards in ((under[np.argmin(under[:, 0])], -1.0), (under[np.argmax(under[:, 0])], 1.0)):
+        above = [bead for bead in toolpath.beads if bead.layer < 17 and bead.points[0, 2] > rim[2] + HEIGHT]
+        away = {}
+        for bead in above:
+            beside = outwards * (bead.points[:, 0] - rim[0])
+            away[bead.layer] = min(away.get(bead.layer, np.inf), float(beside[beside > 0.0].min(initial=np.inf)))
+        assert away, "there is some support beside the wing"
+        for layer, at in away.items():
+            rises = (layer + 1) * HEIGHT - rim[2]
+            assert at >= rises / np.tan(np.radians(tilt))
+            assert at < rises / np.tan(np.radians(tilt)) + 2e-3, "nor leave more room than that"
+
+
 def test_level_layers_are_half_filled_and_curved_ones_whole(supported: Toolpath) -> None:
     for bead in supported.beads:
         if bead.layer >= 17:

@@ -340,7 +340,7 @@ def _folder(tmp_path: Path) -> None:
     _FOLDER[:] = [tmp_path]
 
 
-TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 5, washout_deg: 1.5}'
+TIP = 'tip: {naca: "2412", chord_mm: 66, sweep_mm: 15, washout_deg: 1.5}'
 MISTAKES = [
     (TIP, 'tip: {naca: "2412", aerofoil: a.dat, chord_mm: 60}', "layers.source.tip", "both", "one of them, or none"),
     (TIP, 'tip: {naca: "2412"}', "layers.source.tip.chord_mm", "is missing", "[mm]"),

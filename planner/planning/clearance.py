@@ -6,11 +6,13 @@ A user's own `collision.nozzle_mm` is never lowered.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
+from planner.collision.scene import obstacles_of
 from planner.plan import Nearer
-from planner.planning.context import PlanningContext, context_of
+from planner.planning.context import PlanningContext
 from planner.problem import Problem
 from planner.resolve.drawn import passable
 from planner.resolve.infeasible import NEARER
@@ -56,11 +58,17 @@ def coming_nearer(
         with stages.stage("resolve"):
             if not leads_on(given, refusal, last):  # which takes a hundredth of a search's time
                 return
-    if in_one_go and not _has_way(_keeping(given, last), stages):
+
+    def keeping(kept: float) -> PlanningContext | None:
+        nearer = _keeping(given, kept)
+        return _with_way(nearer, stages) if in_one_go else nearer
+
+    nearest = keeping(last)
+    if nearest is None:
         return
     for kept in (each for each in NEARER if each < usual):
-        nearer = _keeping(given, kept)
-        if not in_one_go or kept == last or _has_way(nearer, stages):
+        nearer = nearest if kept == last else keeping(kept)
+        if nearer is not None:
             yield Nearer(kept, usual, because), nearer
 
 
@@ -68,13 +76,13 @@ def _keeping(given: PlanningContext, kept: float) -> PlanningContext:
     """The same where nozzle and head keep this distance [m]."""
     spec = given.problem.collision.model_copy(update={"nozzle": kept})
     problem = given.problem.model_copy(update={"collision": spec})
-    return context_of(problem, given.cell, given.toolpath, given.first_bead, given.terms)
+    return replace(given, problem=problem, obstacles=obstacles_of(problem, given.cell, given.toolpath, given.body))
 
 
-def _has_way(given: PlanningContext, stages: Stages) -> bool:
+def _with_way(given: PlanningContext, stages: Stages) -> PlanningContext | None:
+    """The same with the way that a search finds; None if it finds none."""
     with stages.stage("resolve"):
         try:
-            ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles)
+            return replace(given, start=ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles))
         except Refusal:
-            return False
-    return True
+            return None

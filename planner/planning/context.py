@@ -15,6 +15,7 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import Obstacles, obstacles_of
 from planner.problem import Problem, load_problem
+from planner.resolve.joint_path import JointPath
 from planner.resolve.segment import Term
 from planner.toolpath.as_printed import printed_beads
 from planner.toolpath.bead import Toolpath
@@ -29,6 +30,7 @@ class PlanningContext:
     tasks       of all beads but those that a scan found printed; of these only those from `first_bead` on are laid
     terms       a user's own, of the refinement's price
     draft       a plan that is verified is taken as it is, whatever other strategies would make of it
+    start       the ladder's paths of all tasks, where a search with just these obstacles has found them already
     """
 
     problem: Problem
@@ -40,6 +42,7 @@ class PlanningContext:
     first_bead: int
     terms: tuple[Term, ...] = ()
     draft: bool = False
+    start: tuple[JointPath, ...] = ()
 
     @property
     def printed(self) -> int:

@@ -492,7 +492,7 @@ def _paths_of(
             return STRATEGIES[strategy](cell, tasks, settings, obstacles), ()
         if over is not None:
             return sqp_over(over, given), ()
-        start = ladder(cell, tasks, settings, obstacles)
+        start = given.start or ladder(cell, tasks, settings, obstacles)
         return refine_paths(cell, start, settings, obstacles, given.terms), start
 
 

@@ -35,24 +35,6 @@ APART = 0.5  # of the distance of passes: the source's points lie no farther apa
 PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 
-class SectionPlaces:
-    """Points (n, 2), and where they lie beside sides of a section; each side is searched once."""
-
-    def __init__(self, points: Array) -> None:
-        self.points = points
-        self._beside: dict[int, tuple[Array, Array]] = {}
-
-    def beside(self, side: SectionSide) -> tuple[Array, Array]:
-        """Parameters (n) of the nearest places on a side, and the distances (n) from these, inwards; NaN beyond its ends."""
-        if id(side) not in self._beside:
-            t = side.nearest(self.points)
-            away, inward = self.points - side.points(t), side.inward(t)
-            ahead = np.abs(away[:, 0] * inward[:, 1] - away[:, 1] * inward[:, 0])
-            beyond = ((t <= side.first) | (t >= side.last)) & (ahead > _NUDGE)
-            self._beside[id(side)] = t, np.where(beyond, np.nan, (away * inward).sum(axis=1))
-        return self._beside[id(side)]
-
-
 class Strip(Protocol):
     """One layer seen along the span: what lies under its tip curve. Points are (x, z) in the part frame [m]."""
 
@@ -79,8 +61,14 @@ class Strip(Protocol):
         """Outward unit normals (n, 2) of the tip curve's direction at points (n, 2)."""
         ...
 
-    def covers(self, places: SectionPlaces) -> Flags:
-        """Which places (n) lie inside."""
+    @property
+    def side(self) -> SectionSide | None:
+        """The side that it is parallel to; None where it is level."""
+        ...
+
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """Parameters of its side from and to, and distances inwards from there from and to [m]; of a level one x and z."""
         ...
 
 
@@ -128,11 +116,10 @@ class CurvedStrip:
         t = np.clip(self.side.nearest(points), self.first, self.last)
         return self._outward * self.side.inward(t)
 
-    def covers(self, places: SectionPlaces) -> Flags:
-        """Which places (n) lie inside."""
-        t, depth = places.beside(self.side)
-        low, high = sorted((self.tip, self.base))
-        return np.asarray((t >= self.first) & (t <= self.last) & (depth > low) & (depth < high))
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """Parameters of its side from and to, and distances inwards from there from and to [m]."""
+        return self.first, self.last, min(self.tip, self.base), max(self.tip, self.base)
 
     def _curvature(self, t: Array) -> Array:
         along, bend = self.side.curve(t, 1), self.side.curve(t, 2)
@@ -168,6 +155,8 @@ class FlatStrip:
     tip: float
     base: float
 
+    side = None
+
     @property
     def length(self) -> float:
         """Of the tip curve [m]."""
@@ -192,19 +181,65 @@ class FlatStrip:
         """Upwards (n, 2)."""
         return np.tile([0.0, 1.0], (len(points), 1))
 
-    def covers(self, places: SectionPlaces) -> Flags:
-        """Which places (n) lie inside."""
-        x, z = places.points.T
-        return np.asarray((x > self.first) & (x < self.last) & (z > self.base) & (z < self.tip))
+    @property
+    def edges(self) -> tuple[float, float, float, float]:
+        """x from and to, and z from and to [m]."""
+        return self.first, self.last, self.base, self.tip
+
+
+@dataclass(frozen=True)
+class StripUnion:
+    """Strips that are asked all at once for what lies in any of them.
+
+    curved  sides of the section, and the edges (k, 4) of the strips parallel to each
+    level   edges (k, 4) of level strips
+    """
+
+    curved: tuple[tuple[SectionSide, Array], ...]
+    level: Array
+
+    @classmethod
+    def of(cls, strips: Sequence[Strip]) -> StripUnion:
+        """Those of all strips."""
+        sides = {id(strip.side): strip.side for strip in strips if strip.side is not None}
+        curved = tuple((side, np.array([s.edges for s in strips if s.side is side])) for side in sides.values())
+        return cls(curved, np.array([s.edges for s in strips if s.side is None]).reshape(-1, 4))
+
+    def holds(self, points: Array) -> Flags:
+        """Which points (n, 2) lie in a strip."""
+        x, z = points.T
+        first, last, low, high = self.level.T[:, :, None]
+        held = ((x > first) & (x < last) & (z > low) & (z < high)).any(axis=0)
+        for side, edges in self.curved:
+            t, depth = _beside(side, points)
+            first, last, low, high = edges.T[:, :, None]
+            held |= ((t >= first) & (t <= last) & (depth > low) & (depth < high)).any(axis=0)
+        return np.asarray(held)
+
+
+def _beside(side: SectionSide, points: Array) -> tuple[Array, Array]:
+    """Parameters (n) of the places on a side nearest to points (n, 2), and the distances (n) from these, inwards; NaN beyond
+    its ends."""
+    t = side.nearest(points)
+    away, inward = points - side.points(t), side.inward(t)
+    ahead = np.abs(away[:, 0] * inward[:, 1] - away[:, 1] * inward[:, 0])
+    beyond = ((t <= side.first) | (t >= side.last)) & (ahead > _NUDGE)
+    return t, np.where(beyond, np.nan, (away * inward).sum(axis=1))
 
 
 @dataclass(frozen=True)
 class _Outline:
-    """Places (n, 2) on the edges of strips, and their outward normals (n, 2)."""
+    """Places (n, 2) on the edges of strips, their outward normals (n, 2), and the strips."""
 
     points: Array
     normals: Array
     tree: cKDTree
+    strips: StripUnion
+
+    @cached_property
+    def box(self) -> tuple[Array, Array]:
+        """Corners (2) of the least box that holds the places."""
+        return self.points.min(axis=0), self.points.max(axis=0)
 
 
 @dataclass(frozen=True)
@@ -270,10 +305,10 @@ class LayeredSolid:
     def _covered(self, points: Array) -> Flags:
         """Which points (n, 2) lie in a strip that is there."""
         outline = self._outline(self.level)
-        low, high = outline.points.min(axis=0), outline.points.max(axis=0)
+        low, high = outline.box
         near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
         covered = np.zeros(len(points), dtype=bool)
-        covered[near] = _inside(self._there(self.level), points[near])
+        covered[near] = outline.strips.holds(points[near])
         return covered
 
     def _there(self, level: int) -> list[Strip]:
@@ -286,33 +321,26 @@ class LayeredSolid:
                 there if level == 0 else [s for s, at in zip(self.strips, self.levels, strict=True) if at == level - 1]
             )
             before = [] if level == 0 else [self._outline(level - 1)]
-            free = [_bare((o.points, o.normals), new) for o in before]
+            added, whole = StripUnion.of(new), StripUnion.of(there)
+            free = [_bare((o.points, o.normals), added) for o in before]
             for strip in new:
-                free += [_bare(edge, there) for edge in (_tips(strip), _bottom(strip), *_faces(strip))]
-            self.outlines[level] = _collected(free)
+                free += [_bare(edge, whole) for edge in (_tips(strip), _bottom(strip), *_faces(strip))]
+            self.outlines[level] = _collected(free, whole)
         return self.outlines[level]
 
 
-def _bare(piece: _Piece, strips: list[Strip]) -> _Piece:
+def _bare(piece: _Piece, strips: StripUnion) -> _Piece:
     """What of an edge lies on no strip."""
     points, normals = piece
-    bare = ~_inside(strips, points + _NUDGE * normals)
+    bare = ~strips.holds(points + _NUDGE * normals)
     return points[bare], normals[bare]
 
 
-def _inside(strips: list[Strip], points: Array) -> Flags:
-    """Which points (n, 2) lie in any of the strips."""
-    places, covered = SectionPlaces(points), np.zeros(len(points), dtype=bool)
-    for strip in strips:
-        covered |= strip.covers(places)
-    return covered
-
-
-def _collected(pieces: list[_Piece]) -> _Outline:
+def _collected(pieces: list[_Piece], strips: StripUnion) -> _Outline:
     none = np.zeros((0, 2))
     points = np.vstack([none, *(piece[0] for piece in pieces)])
     normals = np.vstack([none, *(piece[1] for piece in pieces)])
-    return _Outline(points, normals, cKDTree(points))
+    return _Outline(points, normals, cKDTree(points), strips)
 
 
 def _tips(strip: Strip) -> tuple[Array, Array]:

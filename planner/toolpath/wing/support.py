@@ -90,13 +90,22 @@ def _underside(section: AerofoilSection, spec: AerofoilLayersSpec, support: Supp
     side = section.lower
     ends = parallels(side, section.upper, -depth, 0.0, spec.source.tilt)
     t = np.linspace(ends[0][0], ends[-1][1], _SAMPLES) if ends else side.grid
-    return widened(side.points(t) - depth * side.inward(t), spec)
+    return widened(side.points(t) - depth * side.inward(t), spec, support)
 
 
-def widened(points: Array, spec: AerofoilLayersSpec) -> Array:
-    """Points (n, 2) from nose to tail, by x, their ends as far out as level layers keep from them."""
-    reach = np.array([_APART * spec.height, 0.0])
-    points = np.vstack([points[:1] - reach, points, points[-1:] + reach])
+def widened(points: Array, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
+    """Points (n, 2) from nose to tail, by x, and beyond either end how high level layers may be there.
+
+    They keep a little away from what is curved, and rise no steeper from it than its layers do: a nozzle that stands on its
+    rim leans with it, and would meet a wall.
+    """
+    tops = spec.height * np.arange(1, level_count(spec, support) + 1)
+    sides = []
+    for (x, z), outwards in ((points[0], -1.0), (points[-1], 1.0)):
+        rise = np.concatenate([[0.0], tops[tops > z] - z])
+        run = _APART * spec.height + rise / np.tan(spec.source.tilt)
+        sides.append(np.column_stack([x + outwards * run, z + rise]))
+    points = np.vstack([sides[0], points, sides[1]])
     return points[np.argsort(points[:, 0], kind="stable")]
 
 

@@ -211,7 +211,7 @@ def _curved_support(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, 
 def _level(loft: Loft, spec: AerofoilLayersSpec, support: SupportSpec, stations: Array) -> list[WingSheet | None]:
     """Level layers of a support, from the bed up: below what is curved, and beside it; None where there is no room."""
     ends = level_ends(spec, support)
-    unders = [widened(points, spec) for points in _undersides(loft, spec, support, stations)]
+    unders = [widened(points, spec, support) for points in _undersides(loft, spec, support, stations)]
     sheets: list[WingSheet | None] = []
     for k in range(level_count(spec, support)):
         top = (k + 1) * spec.height

@@ -45,7 +45,7 @@ _STRETCHED = 1.05  # by which passes may be farther apart in places
 _SLANTED = 1.35  # distances of passes from a pass where they meet edges at an angle
 _LOOP = 5e-6  # m, by which a parallel comes nearer to its own side than its depth where it crosses itself
 _WITHIN = 1.5  # pitches of places from a bead's middle line to the nearest that is as far within
-_BESIDE = 0.5  # layer heights that level layers keep from the ends of curved ones
+_BESIDE = 0.5  # layer heights that level layers keep from the ends of curved ones, from where they rise
 _UNDERSIDE = 2000  # places of it
 _BESIDE_SIDES = 0.25  # of the span, by which sides are looked at beyond its ends
 _SPACED = 0.3  # bead widths between places of a side along the span
@@ -105,6 +105,8 @@ class Wing:
         curved = 0 if support is None or self.spec.source.method == "planar" else support.curved
         layer = WingLayer("lower", -curved * height, 0.0, self.width)
         c, reach = np.linspace(0.0, 1.0, _UNDERSIDE), np.array([_BESIDE * height, 0.0])
+        rises = 0.0 if support is None else support.height  # no steeper than layers lean at most
+        slope = np.array([rises / np.tan(self.spec.source.tilt), 0.0]), np.array([0.0, rises])
         found = []
         for v in self.stations:
             shares = np.full(len(c), v)
@@ -113,7 +115,8 @@ class Wing:
                 there = _clear(self, layer)(c, shares) >= 0.0
             first, last = int(np.argmax(there)), len(c) - int(np.argmax(there[::-1]))
             points = _parallel(self, layer)(c, shares)[first:last, ::2]
-            points = np.vstack([points[:1] - reach, points, points[-1:] + reach])
+            nose, tail = points[:1] - reach, points[-1:] + reach
+            points = np.vstack([nose - slope[0] + slope[1], nose, points, tail, tail + slope[0] + slope[1]])
             found.append(points[np.argsort(points[:, 0], kind="stable")])
         return found
 
