@@ -15,7 +15,7 @@ from OCP.BRepPrimAPI import BRepPrimAPI_MakeBox
 from OCP.collections import Array1_double, Array1_gp_Pnt, Array1_int
 from OCP.GC import GC_MakeArcOfCircle
 from OCP.Geom import Geom_BSplineCurve
-from OCP.gp import gp_Ax2, gp_Circ, gp_Dir, gp_Pnt
+from OCP.gp import gp_Ax2, gp_Circ, gp_Dir, gp_Lin, gp_Pnt
 from OCP.IGESControl import IGESControl_Writer
 from OCP.STEPControl import STEPControl_StepModelType, STEPControl_Writer
 from OCP.TopoDS import TopoDS_Compound
@@ -133,7 +133,7 @@ def test_a_nurbs_curve_keeps_its_degree_points_and_weights(tmp_path: Path, kind:
 
 @pytest.mark.slow
 @settings(max_examples=12, deadline=None)
-@given(st.data(), st.integers(1, 5))
+@given(st.data(), st.sampled_from((1, 2, 3, 4, 5, 14)))
 def test_other_code_reads_the_same_curves(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, degree: int
 ) -> None:
@@ -194,7 +194,31 @@ def whole(folder: Path, kind: str = "step") -> bytes:
     return written(compound(*slot()), folder, kind).read_bytes()
 
 
-@pytest.mark.slow(cases=("curves.step-lines*", "curves.step-high*", "curves.step-far*", "curves.step-cusp*"))
+def spoilt(text: str, how: str) -> str:
+    """An IGES file whose unit or a line of which a reader can only guess."""
+    lines = text.splitlines()
+    if how == "text":  # the name of the unit is longer by a character
+        return text.replace("2HMM", "3HMM")
+    if how == "shifted":
+        lines[2] = lines[2][1:]
+    else:  # the values of a line no longer say whose they are
+        k = next(i for i, line in enumerate(lines) if line.startswith("110,") and line[72] == "P")
+        lines[k] = f"{lines[k][:64]:72}{lines[k][72:]}"
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.slow
+def test_iges_without_ends_of_lines(tmp_path: Path) -> None:
+    path = written(compound(*slot()), tmp_path, "igs")
+    apart = read_curves(path, complain)
+    path.write_text("".join(f"{line:80}" for line in path.read_text().splitlines()))
+    assert read_curves(path, complain) == apart
+    assert not isinstance(_nurbs_file(path), NotRead)
+
+
+@pytest.mark.slow(
+    cases=("curves.step-lines*", "curves.step-endless*", "curves.igs-lost*", "curves.step-far*", "curves.step-cusp*")
+)
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
@@ -204,17 +228,20 @@ def whole(folder: Path, kind: str = "step") -> bytes:
         ("curves.step", "cut", "curves.step is damaged: its end is missing"),
         ("curves.igs", "cut", "curves.igs is damaged: its end is missing"),
         ("curves.step", "box", "curves.step holds no curve that bounds no face (export the curves themselves"),
-        ("curves.step", "high", "degree: 11 is too large"),
-        ("curves.step", "far", "points_mm"),
+        ("curves.step", "far", "curve 1 of 1 in curves.step has a coordinate of 200000 mm"),
+        ("curves.step", "endless", "1 of the 1 edges in curves.step are lines without an end"),
+        ("curves.igs", "text", "value 15 of its header is a text that is not as long as it says, so that the"),
+        ("curves.igs", "shifted", "line 3, in its header, has neither S nor G in column 73, so that the unit"),
+        ("curves.igs", "lost", "curves.igs has curves that cannot be read: line D"),
         ("curves.step", "cusp", "curve 1 turns back on itself at"),
         ("curves.step", "lines", "curves.step is damaged"),
     ],
 )
 def test_what_cannot_be_taken_is_told(tmp_path: Path, name: str, content: Any, words: str) -> None:
-    path, ones = tmp_path / name, [1] * 12
+    path = tmp_path / name
     shapes = {
         "box": lambda: BRepPrimAPI_MakeBox(10.0, 10.0, 10.0).Shape(),
-        "high": lambda: spline([(9 * k, k % 3, 0) for k in range(12)], ones, (0, 1), (12, 12), 11),
+        "endless": lambda: BRepBuilderAPI_MakeEdge(gp_Lin(gp_Pnt(0, 0, 0), gp_Dir(1, 0, 0))).Edge(),
         "far": lambda: spline([(0, 0, 0), (2e5, 0, 0)], (1, 1), (0, 1), (2, 2), 1),
         "cusp": lambda: spline([(0, 0, 0), (20, 0, 0), (0, 0, 0)], (1, 1, 1), (0, 0.5, 1), (2, 1, 2), 1),
     }
@@ -223,6 +250,8 @@ def test_what_cannot_be_taken_is_told(tmp_path: Path, name: str, content: Any, w
     elif content == "cut":
         data = whole(tmp_path, "step" if name.endswith("step") else "igs")
         path.write_bytes(data[: len(data) // 2])
+    elif content in ("text", "shifted", "lost"):
+        path.write_text(spoilt(whole(tmp_path, "igs").decode(), content))
     elif content == "lines":
         path.write_bytes(b"ISO-10303-21;\nHEADER;\nENDSEC;\nDATA;\n#1=NONSENSE(;\nENDSEC;\nEND-ISO-10303-21;\n")
     elif content is not None:

@@ -150,12 +150,13 @@ def test_several_bodies_and_what_is_no_face(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_face_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("surface", ["none", "no surface"])
+def test_a_face_that_cannot_be_read_is_named(tmp_path: Path, surface: str) -> None:
     path = written(tmp_path / "two.igs", [square(0.0), square(20.0)])
     lines = path.read_text().splitlines()
     k = next(i for i, line in enumerate(lines) if line.startswith(f"{TRIMMED},") and line[72] == "P")
     values = lines[k][:64].rstrip().rstrip(";").split(",")
-    values[1] = "0"  # its surface
+    values[1] = "0" if surface == "none" else values[4]  # a curve in place of a surface
     lines[k] = f"{','.join(values) + ';':64}" + lines[k][64:]
     path.write_text("\n".join(lines) + "\n")
     faces, notes = read(path)

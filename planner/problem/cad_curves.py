@@ -15,6 +15,8 @@ from OCP.BRepAdaptor import BRepAdaptor_Curve
 from OCP.Geom import Geom_TrimmedCurve
 from OCP.GeomConvert import GeomConvert, GeomConvert_CompCurveToBSplineCurve
 from OCP.IFSelect import IFSelect_ReturnStatus
+from OCP.IGESControl import IGESControl_Reader
+from OCP.Precision import Precision
 from OCP.Standard import Standard_Failure
 from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 from OCP.TopExp import TopExp_Explorer
@@ -26,6 +28,10 @@ from planner.problem.cad_facets import quiet_reader
 
 MEETS = 1e-3  # mm between the ends of an edge and of the next one: they are one curve
 _REPAIR = "repair it in a CAD program, and export it anew"
+# Entities of IGES (version 5.3, chapter 4) that are curves, by their numbers
+_KINDS = {100: "arc", 102: "chain of curves", 104: "conic", 106: "polyline", 110: "line", 112: "spline"}
+_KINDS |= {126: "B-spline curve", 130: "offset curve"}
+_SHOWN = 6  # of them in a sentence
 _EXPORT = "export the curves themselves: edges of a body are none of their own"
 
 
@@ -37,8 +43,14 @@ def curves(request: dict[str, Any]) -> dict[str, Any]:
     try:
         if reader.ReadFile(request["file"]) != IFSelect_ReturnStatus.IFSelect_RetDone:
             return {"reason": f"{name} is damaged", "hint": _REPAIR}
-        reader.TransferRoots()
-        found = _edges(reader.OneShape()) if reader.NbShapes() else []
+        lost = _transferred(reader)
+        if lost:
+            listed = ", ".join(lost[:_SHOWN]) + (f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else "")
+            return {"reason": f"{name} has curves that cannot be read: {listed}", "hint": _REPAIR}
+        found, endless = _edges(reader.OneShape()) if reader.NbShapes() else ([], 0)
+        if endless:
+            reason = f"{endless} of the {len(found) + endless} edges in {name} are lines without an end"
+            return {"reason": reason, "hint": "export it without lines of construction, or trim them"}
         if not found:
             return {"reason": f"{name} holds no curve that bounds no face", "hint": _EXPORT}
         joined = _joined(found)
@@ -50,9 +62,28 @@ def curves(request: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _edges(shape: Any) -> list[Any]:
-    """The B-spline curves of all edges that bound no face, each in its own direction."""
-    out = []
+def _transferred(reader: Any) -> list[str]:
+    """Transfer what a file holds; curves of IGES that were damaged or have become nothing, by kind and line of the directory."""
+    iges = isinstance(reader, IGESControl_Reader)
+    lost: dict[int, Any] = {}
+    checks = reader.WS().ModelCheckList(True)
+    checks.Start()
+    while checks.More():
+        if iges and checks.Number() > 0 and checks.Value().HasFailed():
+            lost[2 * checks.Number() - 1] = reader.IGESModel().Value(checks.Number())
+        checks.Next()
+    for i in range(1, reader.NbRootsForTransfer() + 1):
+        before = reader.NbShapes()
+        reader.TransferOneRoot(i)
+        if iges and reader.NbShapes() == before:
+            root = reader.RootForTransfer(i)
+            lost[reader.IGESModel().DNum(root)] = root
+    return [f"{_KINDS[each.TypeNumber()]} D{k}" for k, each in sorted(lost.items()) if each.TypeNumber() in _KINDS]
+
+
+def _edges(shape: Any) -> tuple[list[Any], int]:
+    """The B-spline curves of all edges that bound no face, each in its own direction; and how many have no end."""
+    out, endless = [], 0
     walk = TopExp_Explorer(shape, TopAbs_ShapeEnum.TopAbs_EDGE, TopAbs_ShapeEnum.TopAbs_FACE)
     while walk.More():
         edge = TopoDS.Edge(walk.Current())
@@ -60,6 +91,9 @@ def _edges(shape: Any) -> list[Any]:
         if BRep_Tool.Degenerated_s(edge):
             continue
         ends = BRepAdaptor_Curve(edge)
+        if Precision.IsInfinite_s(ends.FirstParameter()) or Precision.IsInfinite_s(ends.LastParameter()):
+            endless += 1
+            continue
         whole = BRep_Tool.Curve_s(edge, 0.0, 1.0)
         curve = GeomConvert.CurveToBSplineCurve_s(Geom_TrimmedCurve(whole, ends.FirstParameter(), ends.LastParameter()))
         if curve.IsPeriodic():
@@ -67,7 +101,7 @@ def _edges(shape: Any) -> list[Any]:
         if edge.Orientation() == TopAbs_Orientation.TopAbs_REVERSED:
             curve.Reverse()
         out.append(curve)
-    return out
+    return out, endless
 
 
 def _joined(edges: list[Any]) -> list[Any]:
@@ -98,11 +132,12 @@ def _meet(place: Any, edge: Any) -> bool:
 def _arrays(curve: Any) -> dict[str, Array | int]:
     poles = [curve.Pole(i) for i in range(1, curve.NbPoles() + 1)]
     knots = curve.KnotSequence()
+    first, last = curve.FirstParameter(), curve.LastParameter()
     return {
         "degree": curve.Degree(),
         "points": np.array([(p.X(), p.Y(), p.Z()) for p in poles]),
         "weights": np.array([curve.Weight(i) for i in range(1, curve.NbPoles() + 1)]),
-        "knots": np.array([knots.Value(i) for i in range(knots.Lower(), knots.Upper() + 1)]),
+        "knots": np.array([(knots.Value(i) - first) / (last - first) for i in range(knots.Lower(), knots.Upper() + 1)]),
     }
 
 

@@ -5,6 +5,7 @@ Open CASCADE reads them in a process of its own, because a damaged file may end 
 
 from __future__ import annotations
 
+import re
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ LARGEST_FILE = STEP_BYTES.most
 LONGEST = 300  # s that a file may take
 _BEGIN, _END = b"ISO-10303-21", b"END-ISO-10303-21"
 _ENDS = 2048  # bytes of a file in which they stand
+_WIDTH = 80  # columns of an IGES file's lines
+_TEXT = re.compile(rb"\s*(\d{1,5})H")  # before a text in its header: how many characters that has
 _MARK = 72  # column of an IGES file's lines, from 0, that names their section: S at first, T in the last one
 _COMPRESSED, _BINARY = b"C", b"B"  # there, for the forms of IGES that hardly a program writes
 STEP_ENDINGS, IGES_ENDINGS = (".step", ".stp"), (".igs", ".iges")
@@ -50,9 +53,14 @@ def check_step(path: Path, where: Complaint) -> None:
     data = read_bytes(path, LARGEST_FILE, where)
     name = path.name
     if is_iges(data):
-        last = data.rstrip().rsplit(b"\n", 1)[-1]
-        if last[_MARK : _MARK + 1] != b"T":
+        lines = _lines(data)
+        if lines[-1][_MARK : _MARK + 1] != b"T":
             raise where(f"{name} is damaged: its end is missing, the line with T in column 73", hint="export it anew")
+        wrong = _wrong_header(lines)
+        if wrong is not None:
+            raise where(
+                f"{name} is damaged: {wrong}, so that the unit of lengths cannot be told", hint="export it anew"
+            )
         return
     if path.suffix.lower() in IGES_ENDINGS and _BEGIN not in data[:_ENDS]:
         if data[_MARK : _MARK + 1] in (_COMPRESSED, _BINARY):
@@ -68,8 +76,46 @@ def check_step(path: Path, where: Complaint) -> None:
 
 def is_iges(data: bytes) -> bool:
     """Whether a file is IGES in fixed ASCII form, whatever it is called: its first line has S in column 73, and a number."""
-    line = data[:_ENDS].partition(b"\n")[0].rstrip()
+    line = _lines(data[:_ENDS])[0].rstrip()
     return line[_MARK : _MARK + 1] == b"S" and line[_MARK + 1 :].strip().isdigit()
+
+
+def _lines(data: bytes) -> list[bytes]:
+    """The lines of an IGES file; some programs write them one behind the other, each 80 characters long."""
+    data = data.rstrip()
+    if b"\n" in data:
+        return [line.rstrip(b"\r") for line in data.split(b"\n")]
+    return [data[i : i + _WIDTH] for i in range(0, max(len(data), 1), _WIDTH)]
+
+
+def _wrong_header(lines: list[bytes]) -> str | None:
+    """What is wrong with an IGES file's header; None where it can be read.
+
+    Readers take what follows a text (such as 2HMM) that is not as long as it says for another value, and pass over a line
+    that is shifted: a file in millimetres becomes one in inches.
+    """
+    header = b""
+    for i, line in enumerate(lines, 1):
+        mark = line[_MARK : _MARK + 1]
+        if mark == b"D":
+            break
+        if mark not in (b"S", b"G"):
+            return f"line {i}, in its header, has neither S nor G in column 73"
+        header += line[:_MARK].ljust(_MARK) if mark == b"G" else b""
+    place, number, between, end = 0, 1, b",", b";"
+    while place < len(header):
+        text = _TEXT.match(header, place)
+        if text is not None:
+            place = text.end() + int(text[1])
+            told = header[text.end() : place]
+            between, end = (told or between if number == 1 else between), (told or end if number == 2 else end)
+            if header[place:].lstrip()[:1] not in (between, end):
+                return f"value {number} of its header is a text that is not as long as it says"
+        stop = re.compile(b"[" + re.escape(between + end) + b"]").search(header, place)
+        if stop is None or stop[0] == end:
+            break
+        place, number = stop.end(), number + 1
+    return None
 
 
 def asked(module: str, request: dict[str, Any], name: str, where: Complaint) -> dict[str, Any]:

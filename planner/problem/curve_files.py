@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from planner.base.errors import Complaint, InputError
 from planner.problem.cad_files import IGES_ENDINGS, STEP_ENDINGS, asked, check_step
-from planner.problem.drawings import CurveListSpec, CurveSpec
+from planner.problem.drawings import FARTHEST_MM, CurveListSpec, CurveSpec
 from planner.problem.problem import first_mistake
 from planner.problem.yaml_file import LARGEST_FILE, ValueSources, parse_yaml
 
@@ -63,7 +64,12 @@ def _of_cad(path: Path, where: Complaint) -> dict[str, Any]:
     curves = []
     for k in range(int(found["curves"])):
         points, weights, knots = (found[f"{k}.{key}"].tolist() for key in ("points", "weights", "knots"))
-        degree = int(found[f"{k}.degree"])
+        degree, far = int(found[f"{k}.degree"]), float(np.abs(points).max())
+        if far > FARTHEST_MM:
+            raise where(
+                f"curve {k + 1} of {found['curves']} in {path.name} has a coordinate of {far:g} mm",
+                hint=f"at most {FARTHEST_MM:g}: is it a line of construction, or a file in a wrong unit?",
+            )
         curve = {"degree": degree, "points_mm": tuple(map(tuple, points))}
         curves.append(curve | {"weights": tuple(weights), "knots": tuple(knots)})
     return {"curves": tuple(curves)}

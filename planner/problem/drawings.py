@@ -22,7 +22,8 @@ PATTERN_NAMES: tuple[str, ...] = get_args(PatternName)
 ProjectName = Literal["z", "normal", "direction"]
 PROJECT_NAMES: tuple[str, ...] = get_args(ProjectName)
 
-HIGHEST_DEGREE = 9  # drawing programs end at 11; beyond 5 nobody draws
+HIGHEST_DEGREE = 25  # as Open CASCADE; CAD programs that approximate write 14
+FARTHEST_MM = 100_000.0  # of a control point's coordinates
 MOST_POINTS = 5000  # of a curve
 LIGHTEST, HEAVIEST = 1e-3, 1e3  # weights: beyond, a curve is nothing but its heaviest points
 
@@ -237,7 +238,7 @@ class CurveSpec(Section):
 
     degree: Annotated[int, Quantity("", 1, HIGHEST_DEGREE, whole=True)] = key("degree", "degree of the curve")
     points: Annotated[
-        tuple[Annotated[tuple[float, ...], Quantity("mm", -100_000, 100_000, count=(2, 3))], ...],
+        tuple[Annotated[tuple[float, ...], Quantity("mm", -FARTHEST_MM, FARTHEST_MM, count=(2, 3))], ...],
         BeforeValidator(_some_points),
     ] = key("points_mm", "its control points, x and y or x, y and z, at least degree + 1 of them [mm]")
     weights: Annotated[tuple[float, ...], Quantity("", LIGHTEST, HEAVIEST, count=(1, MOST_POINTS))] | None = key(

@@ -114,6 +114,9 @@ class MeshSpec(Section):
     smooth: Smooth | None = smooth_key()
 
 
+NOISIEST_MM = 5.0  # scans: what is farther off is no noise
+
+
 class ScanSpec(Section):
     """A bed or part as it was scanned: a smooth surface through points or facets with noise, seen from above."""
 
@@ -128,7 +131,7 @@ class ScanSpec(Section):
     rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
         "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
     )
-    noise: Annotated[float, Quantity("mm", 0.01, 5)] = key(
+    noise: Annotated[float, Quantity("mm", 0.01, NOISIEST_MM)] = key(
         "noise_mm", "how far points may lie off the smooth surface; where one is farther, the scan is refused [mm]", 0.5
     )
     hole: Annotated[float, Quantity("mm", 0.5, 100)] | None = key(

@@ -123,15 +123,15 @@ def _name(entity: Any) -> str:
 
 def _unread(model: Any, entities: Sequence[Any]) -> list[str]:
     """What of an IGES file has become no face: surfaces, by kind and line of the directory; and how much else there is."""
-    read = {model.Number(entity) for entity in entities if entity is not None}
+    read = {model.DNum(entity) for entity in entities if entity is not None}
     notes, lost, others = [], [], Counter[str]()
     for i in range(1, model.NbEntities() + 1):
         entity, number = model.Value(i), model.Value(i).TypeNumber()
-        if i in read or entity.BlankStatus() == 1:
+        if 2 * i - 1 in read or entity.BlankStatus() == 1:
             continue
         if number in (_BOUNDED, _TRIMMED, _FACE):
             beneath = entity.Surface()
-            if beneath is None or model.Number(beneath) not in read:
+            if beneath is None or model.DNum(beneath) not in read:
                 lost.append(f"{_SURFACES[number]} D{2 * i - 1}")
         elif entity.SubordinateStatus() == 0 and number in _OTHERS:
             others[_OTHERS[number]] += 1

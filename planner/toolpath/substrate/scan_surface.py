@@ -15,8 +15,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags
-from planner.base.errors import Complaint
-from planner.problem.part import ScanSpec
+from planner.base.errors import Complaint, InputError
+from planner.problem.part import NOISIEST_MM, ScanSpec
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 
 BESIDE = 10e-3  # m beside curves within which points count
@@ -29,6 +29,7 @@ _WORSE = 2  # times in a row that more knots foretell no better, after which no 
 _NEAREST = 16  # points by which it is told how dense they are
 _HOLE, _LEAST_HOLE = 5.0, 2e-3  # usual distances of points, and m: no random points leave so wide a gap
 _GRID = 400  # along the longer side of the scan, by which holes are looked for
+_MANY = 0.2  # of the points: no strays, and no single step
 FEWEST = 200  # points near the curves
 
 
@@ -80,14 +81,28 @@ def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], where: 
     worst = int(np.argmax(np.abs(off)))
     most = float(np.abs(off[worst]))
     if most > spec.noise:
-        x, y = near[worst, :2] * 1e3
-        raise where(
-            f"a point of {spec.file.name} is {most * 1e3:.3f} mm off the smooth surface at x {x:.1f}, y {y:.1f} mm, and "
-            f"noise_mm allows {spec.noise * 1e3:g}",
-            hint=f"there is a step, or a stray point: clean the scan; or noise_mm: {np.ceil(most * 1e5) / 100:.2f}",
-        )
+        raise _too_far_off(spec, off, near[worst] * 1e3, where)
     tree = _facets(field, near, low, high, side, hole)
     return ScanSurface(tree, field, most, float(np.sqrt(np.mean(off**2))), len(near), apart)
+
+
+def _too_far_off(spec: ScanSpec, off: Array, worst: Array, where: Complaint) -> InputError:
+    """The error of points that are `off` (n) the surface [m], the farthest of them at `worst` [mm]: many of them, or a few."""
+    most, share = float(np.abs(off).max()) * 1e3, float((np.abs(off) > spec.noise).mean())
+    noise, (x, y) = spec.noise * 1e3, worst[:2]
+    if share > _MANY and most > NOISIEST_MM:
+        return where(
+            f"{share:.0%} of the points of {spec.file.name} near the curves are more than noise_mm ({noise:g}) off the smooth "
+            f"surface, up to {most:.3f} mm at x {x:.1f}, y {y:.1f} mm: seen from above they are no single surface",
+            hint="leave out the underside and what lies beneath, or turn it with rpy_deg",
+        )
+    wider = np.ceil(most * 100) / 100
+    return where(
+        f"a point of {spec.file.name} is {most:.3f} mm off the smooth surface at x {x:.1f}, y {y:.1f} mm, and noise_mm "
+        f"allows {noise:g}",
+        hint="there is a step, or a stray point: clean the scan"
+        + (f"; or noise_mm: {wider:.2f}" if wider <= NOISIEST_MM else ""),
+    )
 
 
 def _usual_distance(points: Array) -> float:
