@@ -106,6 +106,9 @@ def folder() -> Path:
     block = trimesh.creation.box((24.0, 16.0, 4.0))
     block.apply_translation([0.0, 0.0, 2.0])
     block.export(made / "box.stl")
+    slab = trimesh.creation.box((3.3, 20.0, 2.0))
+    slab.apply_translation([0.0, 0.0, 1.0])
+    slab.export(made / "slab.stl")
     shutil.copy(PROBLEMS / "curved_plate.step", made)
     return made
 
@@ -146,6 +149,20 @@ def test_a_true_print_passes_and_is_judged(name: str) -> None:
     assert {DRAWN, LEFT} <= checks if name in CORES else FILLED in checks
     assert (DENSE in checks) == (name in SOLIDS)
     assert not [check for check in findings.checks if "not read" in check.where]
+
+
+def test_a_thin_walls_round_end_lies_within_the_part_and_one_farther_out_does_not() -> None:
+    """It may bulge by the corner tolerance, which is nearly half of so narrow a bead."""
+    path = folder() / "slab.yaml"
+    path.write_text(BASE + SOLID.format("slab.stl", 1, ", upper: {z_mm: 2}"))
+    problem = load_problem(path, ["process.bead.width_mm=0.5", "layers.height_mm=0.5"])
+    toolpath = build_toolpath(problem)
+    end = max(bead.points[:, 1].max() for bead in toolpath.beads)
+    assert problem.process.corner_tolerance == 0.2e-3
+    assert end == pytest.approx(10e-3 - 0.25e-3 + 0.19e-3, abs=0.02e-3)
+    assert INSIDE not in failed(found(problem, toolpath))
+    farther = moved(toolpath, lambda p: p + [0.0, 0.2e-3, 0.0])
+    assert INSIDE in failed(found(problem, toolpath, farther))
 
 
 @pytest.mark.slow(keep=FEW)
