@@ -70,6 +70,7 @@ def test_it_is_named_after_the_robot(urdf: Path, tmp_path: Path, monkeypatch: py
     assert file.parent == Path() and file.exists() and read_robot(file).tip == "tool0"
 
 
+@pytest.mark.slow
 def test_a_model_of_pinocchio_moves_as_its_urdf(urdf: Path, tmp_path: Path) -> None:
     model, bodies = model_of(urdf)
     file = add_robot(model, tmp_path / "of_model.yaml", bodies=bodies)

@@ -61,6 +61,7 @@ def test_no_problem_escapes(tmp_path: Path) -> None:
         none_escapes(lambda by: problems.attack_problem(texts, tmp_path, by), "problems", 30)
 
 
+@pytest.mark.slow
 def test_no_file_escapes(tmp_path: Path) -> None:
     known = {form: given for form, given in files.inputs().items() if form != "STEP"}
     for name in ("URDF", "robot", "SVG"):

@@ -162,6 +162,7 @@ def pose(machine: FiveAxes, straight: Array, angles: Array) -> tuple[Array, Arra
     return T[:3, 3], -T[:3, 2]
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(machines(), st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.integers(0, 10_000))
 def test_both_ways_lead_back_to_the_direction_and_the_tip(
@@ -248,6 +249,7 @@ def test_whole_turns_are_kept() -> None:
     assert TRUNNION.leaning(angles, quat).max() < 1e-6
 
 
+@pytest.mark.slow
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 6.28), st.floats(0.3, 1.4), st.booleans())
 def test_through_the_pole_no_axis_leaps(bearing: float, lean: float, hits: bool) -> None:
@@ -269,6 +271,7 @@ def test_at_the_pole_the_table_turns_evenly_to_what_comes_next() -> None:
     assert np.abs(still).max() == 0.0, "nothing needs to turn at all"
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 10_000), st.sampled_from(["trunnion", "fork", "swivel head"]))
 def test_smooth_directions_make_smooth_axes(seed: int, name: str) -> None:

@@ -166,6 +166,7 @@ def test_baseline_and_maps_beside_are_those_made_alone(monkeypatch: pytest.Monke
             assert not getattr(made, name).flags.writeable
 
 
+@pytest.mark.slow
 def test_a_plan_says_of_the_baseline_what_its_own_plan_says() -> None:
     plan = small_plan()
     metrics = solve_alone(plan.problem, "as_published").metrics

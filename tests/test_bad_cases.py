@@ -141,6 +141,7 @@ def test_what_is_no_bead_is_named_with_its_line(rows: list[str], line: int, word
     assert caught.value.line == line
 
 
+@pytest.mark.slow
 def test_a_step_up_to_the_next_layer_is_allowed(tmp_path: Path) -> None:
     rows = [row(k, 0) for k in range(12)]
     rows += [" ".join(map(str, (11 - k, 0.0, RADIUS + 0.5, 0, 0, 1))) for k in range(12)]
@@ -228,6 +229,7 @@ def judge(plan: Plan) -> set[str]:
     return {check.name for check in plan.checks if not check.ok}
 
 
+@pytest.mark.slow
 def test_a_long_step_may_bend_where_short_ones_are_nearer(tmp_path: Path) -> None:
     assert not judge(solve_alone(MAKERS["waypoints"](tmp_path, 23)))
 

@@ -97,6 +97,7 @@ def test_a_file_without_rows_is_told(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "has no rows" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
     for row in table():
         append_row(tmp_path / "runs.csv", row)

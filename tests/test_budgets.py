@@ -116,6 +116,7 @@ def test_balls_are_those_of_the_print_body() -> None:
     assert Workload.of(toolpath).balls == pytest.approx(of_beads, rel=0.1)
 
 
+@pytest.mark.slow
 def test_too_many_layers_name_how_many_fit(monkeypatch: pytest.MonkeyPatch) -> None:
     few(monkeypatch, workload, "WAYPOINTS", 40_000)
     with pytest.raises(
@@ -255,6 +256,7 @@ def test_the_benchmark_lists_and_models(capsys: pytest.CaptureFixture[str]) -> N
     assert "expected over taken" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_benchmark_judges_what_it_runs(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert inputs.main(["yaml"]) == 0
     assert "kept" in capsys.readouterr().out

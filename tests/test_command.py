@@ -423,7 +423,6 @@ def test_no_plan_removes_stale_robot_code_and_nothing_else(run: Callable[..., Ou
     assert (folder / "photos" / "print.mod").read_text() == "mine too"
 
 
-@pytest.mark.slow
 def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     folder = tmp_path / "out" / "small"
@@ -503,6 +502,7 @@ def test_table_and_files_agree(run: Callable[..., Outcome], tmp_path: Path) -> N
     assert plan["settings"]["overrides"] == ["process.speed_mm_s=30"]
 
 
+@pytest.mark.slow
 def test_strategy_on_the_command_line_wins(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     outcome = run("small.yaml", "--strategy", "as_published", "--quiet")

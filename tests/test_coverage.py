@@ -209,6 +209,7 @@ def _rolled(radius: float) -> FormulaFace:
     )
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=40)
 @given(st.integers(0, 10_000))
 def test_crossings_are_found_on_the_face_not_in_projection(seed: int) -> None:

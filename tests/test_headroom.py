@@ -339,6 +339,7 @@ def test_displacements_that_are_alike_are_tried_once() -> None:
     assert displacements(AROUND)[-1].name == "2 mm along -x-y-z, 1 deg about +x+y+z"
 
 
+@pytest.mark.slow
 def test_no_tolerance_is_the_plan_itself() -> None:
     case = small()
     room = case.judged(Tolerance(0.0, 0.0))
@@ -499,6 +500,7 @@ def test_worst_checks_are_those_that_fail_or_are_nearest_to_their_limits() -> No
     }
 
 
+@pytest.mark.slow
 def test_the_report_says_nothing_where_nobody_asked() -> None:
     assert robustness_section(solve(small_problem(), "as_published")) == ""
 

@@ -70,6 +70,7 @@ def test_an_arm_that_moves_is_a_station_and_so_is_a_table_that_is_held() -> None
         assert cell.station is cell.holder_robot is not None
 
 
+@pytest.mark.slow
 def test_an_arm_in_the_way_is_found() -> None:
     """The same motion, with the other arm standing where it would be hit."""
     from dataclasses import replace

@@ -214,6 +214,7 @@ def test_a_limit_of_each_move_is_no_look_ahead():
     assert not ahead.told
 
 
+@pytest.mark.slow
 def test_a_corner_whose_samples_go_back_and_forth_is_passed_by():
     path, followed = run_of(ZIGZAG, ABB, speed=0.05, zone=ZONES)
     way = followed.way + 0.012 * np.sin(40.0 * followed.time)

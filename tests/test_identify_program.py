@@ -136,6 +136,7 @@ def test_a_urscript_program_says_what_is_asked() -> None:
     np.testing.assert_allclose(v, [m.share * cell.limits.velocity[m.joint] for m in asked.moves], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_joint_trajectory_keeps_the_limits_that_it_asks() -> None:
     asked, (_, cell) = asked_of("peer_cap", "joint_trajectory"), cell_of("peer_cap")
     (text,) = program_files(cell, asked, "").values()

@@ -338,6 +338,7 @@ def test_a_rest_that_is_too_long_fails() -> None:
     assert "interlayer time at most" in failed(replace(plan, trajectory=rows_of(t, rows)))
 
 
+@pytest.mark.slow
 def test_beads_in_another_order_fail() -> None:
     plan, t = plan_with(WINDOW), plan_with(WINDOW).trajectory
     a, b = (np.flatnonzero(t.bead == i) for i in (3, 4))
@@ -414,6 +415,7 @@ def test_beads_can_be_coloured_by_the_age_of_what_is_below() -> None:
     assert [chart["key"] for chart in time_charts(plan)].count("interlayer") == 1
 
 
+@pytest.mark.slow
 def test_a_print_of_one_layer_has_no_ages() -> None:
     with tempfile.TemporaryDirectory() as folder:
         plan = solve_alone(load_problem(write_small(Path(folder), (SPEED, SPEED + WINDOW))))

@@ -78,6 +78,7 @@ def test_what_an_end_forbids_stays_refused(tmp_path: Path, beyond_deg: float, to
         solve(problem_at(tmp_path, beyond_deg, towards=towards), baseline=False)
 
 
+@pytest.mark.slow
 def test_where_the_usual_room_serves_nothing_is_told(tmp_path: Path) -> None:
     plan = solve(problem_at(tmp_path, 6.0), baseline=False)
     assert plan.verified

@@ -369,6 +369,7 @@ def test_programs_ask_for_the_asked_motion_and_differ_from_one_that_asks_for_the
     assert any("path differs" in words for words in rapid.differences(plan, files))
 
 
+@pytest.mark.slow
 def test_plan_and_asked_motion_come_back_from_a_file_and_a_changed_one_is_seen(tmp_path: Path) -> None:
     own = corrected()
     back = Plan.load(sealed(own).save(tmp_path / "learned.plan"))

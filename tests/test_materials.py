@@ -258,6 +258,7 @@ def test_the_tool_that_is_selected_follows_the_events() -> None:
     np.testing.assert_array_equal(found, [-1, 1, 1, 0, 0])
 
 
+@pytest.mark.slow
 def test_motion_handed_over_without_rests_stops_for_a_change_too() -> None:
     plan = two_materials()
     problem = plan.problem.model_copy(

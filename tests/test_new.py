@@ -71,6 +71,7 @@ def test_every_kind_is_accepted(what: str, tmp_path: Path, monkeypatch: pytest.M
     assert (problem.cell.positioner is None) == (holder == "bed")
 
 
+@pytest.mark.slow
 def test_another_arm_has_a_place_and_a_posture_of_which_no_links_touch(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -244,6 +244,7 @@ def test_sqp_is_as_good_as_the_reference(cell: Cell, path: JointPath, cones: Con
     assert (cell.inverse.branches(found.state.q[:, :6]) == path.branch).all()
 
 
+@pytest.mark.slow
 def test_strategy_returns_paths_that_hold_the_task(cell: Cell) -> None:
     task = bead()
     (found,) = STRATEGIES["nlp"](cell, [task], SETTINGS, NOTHING)

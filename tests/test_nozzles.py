@@ -178,6 +178,7 @@ def test_each_bead_is_laid_by_its_nozzle() -> None:
         assert {plan.toolpath.beads[bead].material for bead in laid} == {"pva" if own.nozzle_name == "tPva" else "pla"}
 
 
+@pytest.mark.slow
 def test_a_search_for_several_nozzles_is_a_search_for_each() -> None:
     plan = two_nozzles()
     problem, cell, toolpath = plan.problem, plan.cell, plan.toolpath
@@ -214,6 +215,7 @@ def test_a_nozzle_that_is_changed_elsewhere() -> None:
     assert CHANGED in failed(plan, replace(t, events=early))
 
 
+@pytest.mark.slow
 def test_a_bead_that_the_other_nozzle_would_lay() -> None:
     plan = two_nozzles()
     swapped = replace(plan.cell, nozzle_of={"pla": 1, "pva": 0})

@@ -89,6 +89,7 @@ def test_a_rational_curve_is_an_exact_circle_that_closes() -> None:
     assert np.hypot(*np.diff(path.points, axis=0).T).sum() == pytest.approx(2.0 * np.pi * radius, rel=1e-4)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(st.integers(2, 4), points_of_a_curve)
 def test_chords_leave_a_curve_by_less_than_the_flatness(degree: int, points: list[tuple[float, float]]) -> None:

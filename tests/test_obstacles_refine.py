@@ -152,6 +152,7 @@ def line_task(tilt: float) -> NozzleTask:
     return NozzleTask(0, "line", 0, tip, frames, s, 0, n - 1, 0.04, Cones(tilt))
 
 
+@pytest.mark.slow
 def test_the_nozzle_leans_away_from_a_wall(problem: Problem, bare: Cell) -> None:
     obstacles = wall_beside(bare)
     task = line_task(np.radians(30.0))

@@ -57,6 +57,7 @@ def test_it_plans_as_any_other_and_stands_beside_the_baseline() -> None:
     assert {check.name for check in plan.checks} == {check.name for check in like.checks}
 
 
+@pytest.mark.slow
 def test_what_it_answers_is_verified() -> None:
     def off(cell: Cell, tasks: Any, settings: Any, obstacles: Any) -> Any:
         return [replace(path, q=path.q + 0.01) for path in table_turned(cell, tasks, settings, obstacles)]

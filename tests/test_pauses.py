@@ -116,6 +116,7 @@ def test_random_ladders_need_pauses() -> None:
     assert len({reached(some_ladder(seed, False)[0], some_ladder(seed, False)[1], 0, False) for seed in range(6)}) > 1
 
 
+@pytest.mark.slow
 def test_a_bead_in_pieces_is_the_same_bead() -> None:
     toolpath = build_toolpath(load_problem("cylinder_logo", ["layers.count=1"]))
     k = int(np.argmax([bead.length for bead in toolpath.beads]))

@@ -20,6 +20,7 @@ from planner.report.picture import read_part
 # ---- the picture -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
     plan = make_plan(6_000)
     write_folder(plan, tmp_path / "out")
@@ -54,6 +55,7 @@ def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
     assert (tmp_path / "old.png").exists()
 
 
+@pytest.mark.slow
 def test_the_part_is_drawn_behind_its_lines(tmp_path: Path) -> None:
     plan = make_plan(6_000)
     write_folder(plan, tmp_path / "bare")

@@ -87,6 +87,7 @@ def test_a_bead_that_comes_back_over_its_own_beginning_is_pressed() -> None:
     assert deepest(judged).depth == pytest.approx(0.2e-3, abs=0.016 * HEIGHT)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=6, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate]
 )  # shrinking takes minutes

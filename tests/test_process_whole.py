@@ -182,6 +182,7 @@ def test_what_makes_no_sense_together_is_refused(wrong: tuple[str, ...], named: 
 # --- the robot program --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_heating_and_purge_are_waited_for_at_home() -> None:
     plan = solved("start")
     text = rapid(plan)
@@ -316,6 +317,7 @@ def test_a_slow_retract_is_waited_for_above_the_part() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_what_is_short_takes_no_longer() -> None:
     plain, primed = (solved(name).metrics["print_time_s"] for name in ("plain", "prime and retract"))
     assert primed == pytest.approx(plain, abs=0.2)

@@ -119,6 +119,7 @@ def test_brute_force_finds_a_motion_where_there_is_one(tmp_path: Path) -> None:
     assert all(check.ok for check in brute_force.plan_along(problem, found.motion).checks)
 
 
+@pytest.mark.slow
 def test_brute_force_finds_none_where_reach_ends_on_the_way(tmp_path: Path) -> None:
     problem = line_at(500, tmp_path)
     rows = [f"{x} 0 0 0 0 1" for x in range(0, 700, 2)]

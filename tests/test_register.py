@@ -321,6 +321,7 @@ def test_pollards_cost_is_the_least() -> None:
         assert np.abs(off).sum(axis=1).mean() >= found.cost - 1e-12
 
 
+@pytest.mark.slow
 def test_table_and_cylinder_from_contacts_at_several_angles(tmp_path: Path) -> None:
     here, ask = scene("cylinder_logo"), Ask(table=True)
     truth = misplaced(here, (2.0, -1.0), (), (1.5, -2.0))

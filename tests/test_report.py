@@ -164,6 +164,7 @@ def test_budgets_hold_and_the_page_shows_the_true_extremes(long_report: Path) ->
     assert ratios["traces"][2]["y"].max() == pytest.approx(plan.series["jerk_ratio"].max(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_lines_of_the_scene_end_where_beads_end_and_keep_corners() -> None:
     plan = make_plan(130_000)
     lines = plan_scene(plan, [])["lines"]
@@ -286,6 +287,7 @@ def test_no_dip_is_said_too(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.slow
 def test_thousands_of_dips_keep_the_report_small(tmp_path: Path) -> None:
     plan = with_dips(make_plan(180_000, layers=100))
     dips = tuple(dataclasses.replace(dip, lost=dip.lost + 1e-6 * k) for k, dip in enumerate(plan.dips * 4))

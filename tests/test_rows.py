@@ -118,6 +118,7 @@ def test_rows_go_on_over_a_seam() -> None:
     assert np.count_nonzero(np.diff(stroke.patch)) <= 6
 
 
+@pytest.mark.slow
 def test_rows_are_the_same_each_time() -> None:
     one, other = (cover((PLATE,), SPACING, SPEED)[0] for _ in range(2))
     assert np.array_equal(one.points, other.points)

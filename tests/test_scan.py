@@ -490,6 +490,7 @@ def sets() -> list[str]:
     return [word for each in (*PRINT, *QUICK) for word in ("--set", each)]
 
 
+@pytest.mark.slow
 def test_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "cloud.npy", cloud() * 1e3)
     given_ = ["hemisphere_honeycomb", str(tmp_path / "cloud.npy"), "--after-layer", "2", "--map-only"]
@@ -553,6 +554,7 @@ def test_plans_that_there_are_not(tmp_path: Path) -> None:
     assert scanned_plan(str(tmp_path / "empty")).toolpath.length == pytest.approx(drawn()[1].length)
 
 
+@pytest.mark.slow
 def test_a_saved_plan_and_its_inputs(tmp_path: Path) -> None:
     problem = tmp_path / "mine.yaml"
     shipped = drawn()[0].file.read_text(encoding="utf-8")

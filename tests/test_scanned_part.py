@@ -65,6 +65,7 @@ def test_noise_of_three_tenths_is_smoothed(tmp_path: Path, ending: str) -> None:
     assert NOISE <= most < NOISE + 0.06 and rms == pytest.approx(NOISE / np.sqrt(3.0), rel=0.05), note
 
 
+@pytest.mark.slow
 def test_without_noise_it_is_the_part_itself(tmp_path: Path) -> None:
     save(tmp_path / "dome.xyz", dome(RADII, noise=0.0))
     height, turn = errors(built(tmp_path, "file: dome.xyz"))
@@ -80,6 +81,7 @@ def test_denser_points_come_nearer(tmp_path: Path) -> None:
     assert heights[0] > heights[2] and heights[2] < 0.03
 
 
+@pytest.mark.slow
 def test_a_scan_is_turned_moved_and_enlarged(tmp_path: Path) -> None:
     """Scanned lying on its side, elsewhere, in centimetres and at half its size: put in its place by the problem's keys."""
     turned = dome(RADII)[:, [0, 2, 1]] * [1.0, 1.0, -1.0]
@@ -113,6 +115,7 @@ def test_scans_that_cannot_be_printed_on(
     assert caught.value.field in ("part.scan.file", None) and caught.value.file is not None
 
 
+@pytest.mark.slow
 def test_a_hole_is_bridged_where_it_may_be(tmp_path: Path) -> None:
     points = dome(RADII)
     save(tmp_path / "dome.xyz", points[np.hypot(points[:, 0], points[:, 1]) > 6])

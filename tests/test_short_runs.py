@@ -37,6 +37,7 @@ def problem_at(folder: Path, room_mm: float, more: str = "") -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_runs_are_shortened_where_the_arm_ends(tmp_path: Path) -> None:
     problem = load(problem_at(tmp_path, 2.0))
     plan = solve(problem, baseline=False)
@@ -60,6 +61,7 @@ def test_only_the_run_that_is_in_the_way_is_shortened(tmp_path: Path) -> None:
     assert plan.verified and plan.toolpath.beads[0].short_runs == (False, True)
 
 
+@pytest.mark.slow
 def test_with_room_enough_nothing_is_shortened(tmp_path: Path) -> None:
     plan = solve(load(problem_at(tmp_path, 5.0)), baseline=False)
     assert plan.verified and plan.toolpath.beads[0].short_runs == (False, False)

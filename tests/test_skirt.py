@@ -91,6 +91,7 @@ def test_lines_that_meet_are_one() -> None:
     assert shapely.Polygon(1e3 * line.points[:, :2]).contains(covered(toolpath))
 
 
+@pytest.mark.slow
 def test_the_print_within_is_the_one_without() -> None:
     alone, toolpath = print_with()[1], print_with("process.skirt={loops: 2}")[1]
     count = len(lines_of(toolpath))
@@ -102,6 +103,7 @@ def test_the_print_within_is_the_one_without() -> None:
     np.testing.assert_array_equal(toolpath.surface.normals_on(last, toolpath.beads[last].s[:5], tips), expected)
 
 
+@pytest.mark.slow
 def test_a_true_line_passes() -> None:
     findings = found(*print_with("process.skirt={}"))
     assert not failed(findings), failed(findings)

@@ -331,6 +331,7 @@ def test_ends_of_ranges_join_where_a_step_goes_beyond_them(setup_of: Callable[[s
     assert all(np.isclose(seen, -value, rtol=1e-9, atol=1e-12).any() for value in by[over])  # towards the lower end
 
 
+@pytest.mark.slow
 def test_tilt_stays_in_its_cone_though_few_facets_are_watched(setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of("fast, tilt")
     shares = []

@@ -574,6 +574,7 @@ def test_sizes_must_be_positive(width: float, flatness: float) -> None:
         read_svg(LOGO, width, flatness)
 
 
+@pytest.mark.slow
 def test_too_many_points_are_refused_before_they_are_made(read: Read) -> None:
     with pytest.raises(InputError, match="more than 1000000 points"):
         read('<circle r="1"/>', flatness=1e-15)
@@ -722,6 +723,7 @@ def test_the_committed_logo_is_what_the_script_draws() -> None:
     assert module.TARGET == LOGO
 
 
+@pytest.mark.slow
 def test_the_logo_is_printable() -> None:
     """Size, length, corners; lines at least 1 mm apart, also from themselves."""
     paths = read_svg(LOGO, 0.078, 1e-5)

@@ -242,6 +242,7 @@ def distance(rings: list[Array], points: Array) -> Array:
     return best
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     shape=st.lists(polygon, min_size=1, max_size=2),

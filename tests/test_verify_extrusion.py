@@ -72,6 +72,7 @@ def test_every_section_and_motor_that_follows_is_verified(section: str, mm2: flo
     assert plan.metrics["speed_min_mm_s"] < 36.0, "there is a dip to follow"
 
 
+@pytest.mark.slow
 def test_flow_follows_the_real_speed() -> None:
     plan = solved()
     t = plan.trajectory

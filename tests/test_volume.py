@@ -315,6 +315,7 @@ def test_level_guides_give_level_layers(tmp_path: Path) -> None:
         assert (dome(x, y) * 1e-3 > (bead.layer + 0.5) * 0.5e-3 - 1e-6).all()
 
 
+@pytest.mark.slow
 def test_a_low_upper_surface_cuts_nothing_off(tmp_path: Path) -> None:
     """It shapes layers; the body is printed to its own top."""
     low, own = (built(tmp_path, block(flat(3.0)), f"  upper: {{z_mm: {z}}}") for z in (1, 3))

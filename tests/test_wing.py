@@ -370,6 +370,7 @@ def test_distance_from_the_solid_agrees_with_brute_force(toolpath: Toolpath) -> 
         assert (away[got < 0.0] < 1e-4).all()
 
 
+@pytest.mark.slow
 def test_beside_the_span_is_outside(toolpath: Toolpath) -> None:
     solid = toolpath.surface.before(23)
     points = np.array([[0.05, -1e-3, 8e-3], [0.05, 7e-3, 8e-3], [0.05, 2e-3, 5e-3], [0.05, 2e-3, -1e-3]])
