@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -58,7 +59,5 @@ def apart(one: Placement, other: Placement) -> tuple[float, Array]:
 
 
 @cache
-def FOLDER() -> Path:
-    import tempfile
-
+def scratch() -> Path:
     return Path(tempfile.mkdtemp(prefix="beadwise-contacts-"))

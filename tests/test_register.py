@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contact_files import FOLDER, MOVED, PART, TURNED, apart, chosen, contacts, scene
+from contact_files import MOVED, PART, TURNED, apart, chosen, contacts, scene, scratch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -580,7 +580,7 @@ def test_no_place_within_reach() -> None:
     far = scene("hemisphere_honeycomb", "cell.bed_mm=[5600, 0, 290]")
     with pytest.raises(InputError, match="can touch no place"):
         plan_contacts(far, PART, 6)
-    file = FOLDER() / "far.csv"
+    file = scratch() / "far.csv"
     points = far.points[:: len(far.points) // 12]
     none = np.zeros((len(points), 0))
     write_contacts(file, cartesian(far, tips_of(far, far.start, points, np.zeros(len(points)), none), none))

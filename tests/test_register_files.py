@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from contact_files import FOLDER, MOVED, TURNED, chosen, contacts, scene
+from contact_files import MOVED, TURNED, chosen, contacts, scene, scratch
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -78,7 +78,7 @@ def test_a_bad_file_is_told_with_its_line(tmp_path: Path, lines: list[str], line
 
 @given(st.text(alphabet=st.sampled_from("xyz_mrotain,;\t\n 0123456789.e-+#\"'nf\x00é[]"), max_size=200))
 def test_any_text_is_read_or_refused(text: str) -> None:
-    file = FOLDER() / "any.csv"
+    file = scratch() / "any.csv"
     file.write_text(text, encoding="utf-8")
     try:
         readings = read_readings(file, scene("cylinder_logo").cell)
@@ -92,7 +92,7 @@ def test_any_text_is_read_or_refused(text: str) -> None:
     st.sampled_from([",", ";", "\t", " "]),
 )
 def test_numbers_are_read_as_written(table: list[tuple[float, ...]], separator: str) -> None:
-    file = FOLDER() / "numbers.csv"
+    file = scratch() / "numbers.csv"
     lines = [separator.join(HEAD.split(",")), *(separator.join(repr(v) for v in row) for row in table)]
     file.write_text("\n".join(lines), encoding="utf-8")
     readings = read_readings(file, scene("cylinder_logo").cell)

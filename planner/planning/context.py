@@ -30,7 +30,7 @@ class PlanningContext:
     tasks       of all beads but those that a scan found printed; of these only those from `first_bead` on are laid
     terms       a user's own, of the refinement's price
     draft       a plan that is verified is taken as it is, whatever other strategies would make of it
-    start       the ladder's paths of all tasks, where a search with just these obstacles has found them already
+    start       the ladder's paths of all tasks, where a search of just this print has found them already
     """
 
     problem: Problem

@@ -32,13 +32,13 @@ def nearer_to_ends(given: PlanningContext, refusal: Refusal, stages: Stages) -> 
         return nearer
     try:
         with stages.stage("resolve"):
-            ladder(nearer.cell, nearer.tasks, nearer.problem.resolve, nearer.obstacles)
+            start = ladder(nearer.cell, nearer.tasks, nearer.problem.resolve, nearer.obstacles)
     except Refusal as none:
         short = None if none.run is None else with_short_runs(nearer, none, stages)
         if short is None:
             raise none from refusal
         return short
-    return nearer
+    return replace(nearer, start=start)
 
 
 def noted(given: PlanningContext, paths: Sequence[JointPath], refusal: Refusal) -> PlanningContext:

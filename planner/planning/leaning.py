@@ -54,11 +54,11 @@ def leaning(given: PlanningContext, refusal: Refusal, stages: Stages) -> Plannin
             return None
         leaned = leaned_tasks(tasks, tilts)
         try:
-            ladder(cell, leaned, given.problem.resolve, given.obstacles)
+            start = ladder(cell, leaned, given.problem.resolve, given.obstacles)
         except Refusal:
             return None
     note = f"the nozzle leans within its cone, as an upright one has no way: {refusal}"
-    return replace(given, tasks=leaned, toolpath=replace(toolpath, notes=(*toolpath.notes, note)))
+    return replace(given, tasks=leaned, start=start, toolpath=replace(toolpath, notes=(*toolpath.notes, note)))
 
 
 def best_leans(given: PlanningContext) -> list[Array] | None:

@@ -163,7 +163,7 @@ def register_command() -> Command:
     parser.add_argument(
         "--noise-mm", metavar="MM", dest="noise", type=_millimetres, help="of one touch, if known (standard deviation)"
     )
-    parser.add_argument("--unit", choices=tuple(CLOUD_UNITS), help="of a scan (default: as its header says, else mm)")
+    parser.add_argument("--unit", choices=CLOUD_UNITS, help="of a scan (default: as its header says, else mm)")
     parser.add_argument("--suggest", type=int, metavar="N", help="without contacts: where to touch first, N places")
     return parser
 

@@ -235,7 +235,7 @@ def _outlines(
     for k, own in by_number(places.layer):
         within[own] = body.at(layers[k].perhaps, places.tip[own, :2])
     limit = process.corner_tolerance + 2.0 * body.pitch + process.chord_tolerance
-    most = 0.5 * (width + body.pitch)  # no middle line lies outside, as well as lines through the body tell
+    most = 0.5 * (width + body.pitch)  # a middle line lies inside, as far as the grid of lines can tell
     beyond = np.maximum(0.5 * width - within, 0.0)
     yield worst_of(judged, places, INSIDE, beyond * 1e3, min(limit, most) * 1e3, "mm")
 

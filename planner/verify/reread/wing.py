@@ -105,8 +105,8 @@ class Wing:
         curved = 0 if support is None or self.spec.source.method == "planar" else support.curved
         layer = WingLayer("lower", -curved * height, 0.0, self.width)
         c, reach = np.linspace(0.0, 1.0, _UNDERSIDE), np.array([_BESIDE * height, 0.0])
-        rises = 0.0 if support is None else support.height  # no steeper than layers lean at most
-        slope = np.array([rises / np.tan(self.spec.source.tilt), 0.0]), np.array([0.0, rises])
+        rise = 0.0 if support is None else support.height  # beside curved layers, no steeper than these lean at most
+        run = rise / np.tan(self.spec.source.tilt)
         found = []
         for v in self.stations:
             shares = np.full(len(c), v)
@@ -116,7 +116,7 @@ class Wing:
             first, last = int(np.argmax(there)), len(c) - int(np.argmax(there[::-1]))
             points = _parallel(self, layer)(c, shares)[first:last, ::2]
             nose, tail = points[:1] - reach, points[-1:] + reach
-            points = np.vstack([nose - slope[0] + slope[1], nose, points, tail, tail + slope[0] + slope[1]])
+            points = np.vstack([nose + [-run, rise], nose, points, tail, tail + [run, rise]])
             found.append(points[np.argsort(points[:, 0], kind="stable")])
         return found
 
