@@ -124,6 +124,25 @@ def test_a_limit_that_is_raised_makes_nothing_slower() -> None:
         assert time_of(wide, solve(wide)[0]) <= slow * (1.0 + 2.0 * ACCURACY)
 
 
+@pytest.mark.parametrize("seed", [8, 53, 142])
+def test_peaks_of_jerk_between_grid_points_slow_what_is_around_them_only(seed: int) -> None:
+    """Rough joint values in the middle of 3 s, for which a limit of jerk is 1.3 to 2.3 times too low."""
+    rng = np.random.default_rng(seed)
+    knot = 10.0 ** rng.uniform(-2.3, -1.0)
+    u = np.arange(int(3.0 / knot) + 1) * knot
+    rng.normal(size=len(u))
+    rough = rng.normal(size=len(u)) * np.exp(-(((u - 0.5 * u[-1]) / (4.0 * knot)) ** 2))
+    path = make_interp_spline(u, np.column_stack([rough, 0.04 * u]), k=5)
+    most = [np.abs(path(np.linspace(0.0, u[-1], 200_001), order)[:, 0]).max() for order in (1, 2, 3)]
+    low = 10.0 ** rng.uniform(-0.1, 0.4)
+    roomy = 3.0 * most[0], rng.uniform(1.0, 3.0) * most[1]
+    limits = Limits(*(np.array([value]) for value in (-9.0, 9.0, *roomy, most[2] / low)))
+    profile = fastest_profile(Leg(curve_of(path), 0.0, u[-1], (0.05, 0.05)), limits, 0.04)
+    away = (np.abs(profile.sigma - 0.5 * profile.sigma[-1]) > 0.9) & (np.abs(profile.sigma - 1.5) < 1.2)
+    assert np.sqrt(profile.x[away[:-1], 0]).min() > 0.999
+    assert profile.duration < 1.021 * u[-1]
+
+
 @pytest.mark.parametrize("ramps", [(0.05, 0.08), (0.0, 0.0)])
 def test_rates_of_a_leg_by_finite_differences(ramps: tuple[float, float]) -> None:
     rng = np.random.default_rng(5)

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
+from scipy.ndimage import maximum_filter1d
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.compiled import njit
@@ -495,7 +496,9 @@ ACCURACY = 1e-4  # share of the time by which the optimum may be missed
 _NEWTON_STEPS = 8
 _ON_TIME = 1e-13  # s: a thousandth of what the third difference of samples would show
 _LONGEST = 30e-3  # s that an interval of the grid may take
-_ROUNDS = 4  # of tightening limits where the path between grid points overruns them
+_ROUNDS = 10  # of tightening limits where the path between grid points overruns them
+_TIGHTENED = 2  # rounds after which the speed is lowered there, too: peaks between points may not feel limits at these
+_BESIDE = 4  # points to either side at which it is lowered as well: an even speed adds no jerk of its own
 # Of limits less their headroom, between grid points, of squared speed, acceleration and jerk: no need to tighten them.
 _ENOUGH = (1.003, 1.005, 1.005)
 
@@ -535,8 +538,8 @@ class Profile:
 def fastest_profile(leg: Leg, limits: Limits, speed: float) -> Profile:
     """The fastest profile of a leg whose last column is arc length, of rate at most `speed` [m/s].
 
-    Limits hold between grid points too: where the path overruns them there, they are tightened, and in the end the
-    whole leg is slowed down by what is left over.
+    Limits hold between grid points too: where the path overruns them there, they are tightened, then the speed around
+    is lowered, and in the end the whole leg is slowed down by what is left over.
     """
     v = np.append(HEADROOM * limits.velocity, speed)
     program_on = partial(leg_limits, leg, v, HEADROOM * limits.acceleration, HEADROOM * limits.jerk)
@@ -551,7 +554,7 @@ def _within_limits(leg: Leg, program: LegLimits) -> Profile:
     m = len(program.h)
     at_speed, acceleration, jerk = np.ones(m + 1), np.ones(m + 1), np.ones(m)  # shares of the limits that are used
     c, wanted = program.start, np.ones(-(-m // APART), dtype=np.bool_)
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
         tightened = replace(
             program,
             acceleration=program.acceleration / acceleration[:, None, None],
@@ -569,6 +572,11 @@ def _within_limits(leg: Leg, program: LegLimits) -> Profile:
             share[:-1] /= overrun
             share[1:] /= overrun
         jerk /= tighter[2]
+        if done >= _TIGHTENED:
+            slower = np.maximum(tighter[1], tighter[2] ** (2.0 / 3.0))
+            slower = maximum_filter1d(np.maximum(np.append(slower, 1.0), np.append(1.0, slower)), 2 * _BESIDE + 1)
+            now = program.point[:, 0] * c[:-1] + program.point[:, 1] * c[1:]
+            at_speed = np.where(slower > 1.0, np.minimum(at_speed, now / slower / program.ceiling), at_speed)
         wanted = _blocks_beside(np.any([values > 1.0 for values in tighter], axis=0))
     left = [float(values.max()) / enough for values, enough in zip(over, _ENOUGH, strict=True)]
     worst = max(1.0, left[0], left[1], left[2] ** (2.0 / 3.0))
