@@ -30,8 +30,9 @@ SIMPLER = ("ladder", "as_published", "fixed", "greedy")
 # Of these, the ones that search a part of what the default's first search covers whole, unless there are several joints to
 # choose, and are seldom worth their time. Their tables rest but for one axis, too: where cones bind a table they lead nowhere.
 COVERED = ("fixed", "greedy")
-SMALL = 5_000  # waypoints up to which they are asked all the same
-AT_SPEED = 0.999  # share of the length at speed below which others are asked
+SMALL = 5_000  # waypoints up to which they are asked all the same, and any loss of speed is worth asking others
+AT_SPEED = 0.999  # share of the length at speed below which others are asked,
+LARGE_AT_SPEED = 0.99  # and above SMALL waypoints, where to ask them takes longer than all else
 TRAVEL_SHARE = 0.35  # of the print's time above which others are asked
 # Waypoints up to which they are asked where a little of the time is travel, and all timed: what travel takes, timing tells.
 TINY = 2_000
@@ -106,8 +107,11 @@ def best_of_all(
 def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool:
     if not own.verified:
         return not _too_slow_for_its_window(own.report)
+    if waypoints > LARGE or beads > MANY:
+        return False
+    enough = AT_SPEED if waypoints <= SMALL else LARGE_AT_SPEED
     much = SOME_TRAVEL if waypoints <= TINY else TRAVEL_SHARE
-    return waypoints <= LARGE and beads <= MANY and (own.at_speed < AT_SPEED or _travel_share(own) > much)
+    return own.at_speed < enough or _travel_share(own) > much
 
 
 def _too_slow_for_its_window(report: Report) -> bool:
