@@ -9,6 +9,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.compiled import njit
+from planner.base.processes import in_threads
 
 # ----------------------------------------------------------------------------------------------------
 # What they have to follow, and how nearly.
@@ -102,11 +103,11 @@ def fit(way: SampledWay, first: Indices, last: Indices, rules: FitRules) -> Fitt
     that count. Where some take less than the least time, those around are chosen anew with wider tolerances, by as little
     as gets them the least time. What remains shorter needs to be, for the tolerances' sake.
     """
-    plain, via = _fit(way, way, first, last, rules)
+    plain, via = _fitted(way, way, first, last, rules)
     aimed = way._replace(
         aim=_outwards(way, _half_of_usual(plain, first, last, len(way.clock)), OFF * way.tolerance[1, 1])
     )
-    kind, via = _fit(way, aimed, first, last, rules)
+    kind, via = _fitted(way, aimed, first, last, rules)
     sample = np.flatnonzero(kind)
     aim = np.where(kind[:, None] & AIMED, aimed.aim, way.aim)
     return Fitted(sample, kind[sample] & ARC == ARC, via[sample], aim)
@@ -506,16 +507,32 @@ def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch
     return _lengthen(way, count, rules, s)
 
 
-@njit(cache=True)
-def _fit(way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rules: FitRules) -> tuple[Indices, Array]:
+def _fitted(
+    way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rules: FitRules
+) -> tuple[Indices, Array]:
     """Kind (n) of the primitive that ends at each sample, 0 for none, and its via point (n, 3).
 
     In each stretch targets are those of `way` or of `aimed`, whichever leaves fewer that are too short, or is fewer.
     """
-    n, most = len(way.clock), 1
+    n = len(way.clock)
+    kind, via = np.zeros(n, dtype=np.int64), np.zeros((n, 3))
+
+    def part(begin: int, end: int) -> None:
+        _fit(way, aimed, first[begin:end], last[begin:end], rules, kind, via)
+
+    in_threads(part, len(first))
+    return kind, via
+
+
+@njit(cache=True, nogil=True)
+def _fit(
+    way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rules: FitRules, kind: Indices, via: Array
+) -> None:
+    """Fill in kind (n) and via (n, 3) of `_fitted` along some stretches."""
+    most = 1
     for i in range(len(first)):
         most = max(most, last[i] - first[i])
-    kind, via, room = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros((5, most + 2), dtype=np.int64)
+    room = np.zeros((5, most + 2), dtype=np.int64)
     s = _Scratch(np.zeros(11), np.zeros(len(TERMS)), room[0], room[1], room[2], room[3])
     found, circle = room[4], s.circle
     for i in range(len(first)):
@@ -537,7 +554,6 @@ def _fit(way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rule
             for d in range(3):
                 arm = circle[1] * (cosine * circle[5 + d] + sine * circle[8 + d])
                 via[b, d] = circle[2 + d] + arm if fits == ARC else way.pose[b, d]
-    return kind, via
 
 
 # ----------------------------------------------------------------------------------------------------
