@@ -151,7 +151,7 @@ BAD = [
     ("1 2 3 0 0 0", "the normal is zero", "direction"),
     ("1 2 3e9 0 0 1", "farther than 100 m", "mm"),
     ("x y z nx ny nz", "'x' is not a number", ""),
-    ("1;2;3;0;0;1", "six numbers", "1 value"),
+    ("1|2|3|0|0|1", "six numbers", "1 value"),
     ("1 2 3 0 0 1\x00", "is not a number", ""),
 ]
 
