@@ -362,6 +362,11 @@ WRONG = [
     ("G1 X9 E1\nM200 D1.75", "E becomes a volume here", "one of both"),
     ("G28\nG1 X1 Y1 E1", "nothing says where the nozzle is", "before it"),
     ("G28\nG2 X1 Y1 I1 E1", "nothing says where the nozzle is", "before it"),
+    ("G1 X9 C90 E1", "C moves while material flows", "layers.source.waypoints"),
+    ("G1 C90 E1", "C moves while material flows", "layers.source.waypoints"),
+    ("G0 B-30\nG1 X9 E1", "material flows with B at -30", "layers.source.waypoints"),
+    ("G0 A90\nG2 X9 I4.5 E1", "material flows with A at 90", "layers.source.waypoints"),
+    ("G91\nM83\nG1 X9 U5 E1", "U moves while material flows", "layers.source.waypoints"),
 ]  # fmt: skip
 
 
@@ -372,6 +377,12 @@ def test_a_bad_line_is_named(read: Read, line: str, reason: str, hint: str) -> N
     assert caught.value.line == 5 + line.count("\n")
     assert reason in caught.value.reason
     assert hint in (caught.value.hint or "")
+
+
+def test_axes_that_stand_still_do_no_harm(read: Read) -> None:
+    """As of machines with a tilting table that print level, of carriages that are parked, and in start code."""
+    text = "G0 C90\n;LAYER:0\nG0 B0 C0 U20\nG1 X9 B0. C0 U20 E1\nG0 C5\nG0 C0\nG1 Y5 E1\n"
+    assert sum(thread.length for thread in read(START + text).threads) == pytest.approx(14e-3)
 
 
 @settings(max_examples=200, deadline=None)
@@ -400,7 +411,8 @@ def test_another_tool_begins_a_thread_and_is_told(read: Read, tmp_path: Path) ->
     ("data", "reason"),
     [
         (b"", "extrudes nothing"),
-        (b"G28\nG1 X1 Y1 Z1\n", "extrudes nothing"),
+        (b"G28\nG1 X1 Y1 Z1\n", "extrudes nothing$|extrudes nothing .G-code"),
+        (b"G28\nG1 X1 Y1 Z1 B3 C-9 A2\n", "extrudes nothing by E, and moves A, B, C .* as waypoints"),
         (b"G1 X\xff\n", "not UTF-8"),
     ],
 )

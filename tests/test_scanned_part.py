@@ -157,3 +157,53 @@ def test_the_verifiers_sheets_know_how_sure_they_are(tmp_path: Path) -> None:
     assert 0.02 < 1e3 * found.unsure.mean() < 0.15
     turned = np.arccos(np.clip((found.normals * outward(RADII, truth)).sum(axis=1), -1.0, 1.0))
     assert (turned <= found.turn + 1e-4).all() and np.degrees(found.turn).mean() < 2.5
+
+
+def relief(apart: float, wave: float, high: float, noise: float = 0.0) -> Array:
+    """Points (n, 3) [mm] about `apart` from each other on waves as long as `wave` and so `high`, off them by `noise`."""
+    plane = dome(RADII, apart)[:, :2]
+    k, rng = 2.0 * np.pi / wave, np.random.default_rng(5)
+    z = 30.0 + high * np.sin(k * plane[:, 0]) * np.cos(k * plane[:, 1]) + rng.uniform(-noise, noise, len(plane))
+    return np.column_stack([plane, z])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_sheets_follow_shape_that_is_finer_than_many_points(tmp_path: Path, noise: float) -> None:
+    """On waves 24 mm long, of which 150 points cover most, sheets are off the truth by no more than they say, and say little."""
+    save(tmp_path / "dome.xyz", relief(1.0, 24.0, 0.6, noise))
+    (tmp_path / "scanned.yaml").write_text(YAML.format(scan="file: dome.xyz"))
+    part = load_problem(tmp_path / "scanned.yaml").part
+    assert part is not None and part.scan is not None
+    x, y = np.random.default_rng(3).uniform(-25.0, 25.0, (2, 300))
+    k = 2.0 * np.pi / 24.0
+    found = sheets_at(part.scan, 1e-3 * np.column_stack([x, y]))
+    up = np.column_stack([-np.cos(k * x) * np.cos(k * y), np.sin(k * x) * np.sin(k * y), np.full(300, 1.0 / (0.6 * k))])
+    turned = np.arccos(np.clip((found.normals * up).sum(axis=1) / np.linalg.norm(up, axis=1), -1.0, 1.0))
+    assert (turned <= found.turn + np.radians(1.0)).all()
+    assert np.degrees(np.median(found.turn)) < 3.0
+    assert (np.abs(1e3 * found.z - 30.0 - 0.6 * np.sin(k * x) * np.cos(k * y)) <= 1e3 * found.unsure + 0.05).all()
+
+
+def test_sheets_of_points_in_lines_are_unsure_beside_these(tmp_path: Path) -> None:
+    """Of profiles 2 mm apart with points every 0.1 mm, small sheets hold points of one line alone, which say nothing."""
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(-30.0, 30.0, 0.1), np.arange(-30.0, 30.0, 2.0)))
+    save(tmp_path / "dome.xyz", np.column_stack([x, y, 30.0 + 0.1 * y]))
+    (tmp_path / "scanned.yaml").write_text(YAML.format(scan="file: dome.xyz"))
+    part = load_problem(tmp_path / "scanned.yaml").part
+    assert part is not None and part.scan is not None
+    found = sheets_at(part.scan, 1e-3 * np.array([[0.0, 0.0], [3.0, 0.9], [-7.3, 5.1]]))
+    up = np.array([0.0, -0.1, 1.0]) / np.hypot(0.1, 1.0)
+    turned = np.arccos(np.clip(found.normals @ up, -1.0, 1.0))
+    assert (turned <= found.turn + 1e-6).all() and np.degrees(found.turn).max() < 2.0
+
+
+def test_shape_finer_than_the_points_tell_is_refused_and_coarser_is_not(tmp_path: Path) -> None:
+    """As of a carved relief: which way its slopes lean between points is not known, however little they are off."""
+    save(tmp_path / "dome.xyz", relief(1.0, 8.0, 0.2))
+    with pytest.raises(
+        InputError, match=r"lean \d+\.\d deg or more off the smooth surface: .* too fine for points 1\.0"
+    ) as caught:
+        built(tmp_path, "file: dome.xyz")
+    assert caught.value.field == "part.scan.file"
+    save(tmp_path / "dome.xyz", relief(1.0, 24.0, 0.6, 0.02))
+    built(tmp_path, "file: dome.xyz")

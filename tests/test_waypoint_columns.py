@@ -23,6 +23,8 @@ from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.waypoints.normals import NOISY, UNASKED, calm_normals, jitter, smooth_normals
 from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, Waypoints, read_waypoints
+from planner.verify.reread.plane_curves import NotRead
+from planner.verify.reread.points import segments_of
 
 Array = NDArray[np.float64]
 HEADER = "x,y,z,nx,ny,nz"
@@ -128,6 +130,60 @@ def test_names_may_state_their_unit(spec: Callable[..., WaypointsSpec]) -> None:
         (bead,) = read_waypoints(spec("a.csv", f"{head}\n{rows}\n")).beads
         assert bead.points[1] * 1e3 == pytest.approx([1, 1, 2])
         assert bead.width == pytest.approx([0.5e-3, 0.6e-3])
+
+
+ROWS = ([0, 1, 2, 0, 0, 1], [1.5, 1, 2, 0, 0, 1], [3, 1, 2, 0, 0, 1])
+
+
+@pytest.mark.parametrize(
+    ("head", "separator", "decimal"),
+    [
+        ("x;y;z;nx;ny;nz", ";", "."),
+        ("x;y;z;nx;ny;nz", ";", ","),
+        ("# exported", ";", ","),
+        ("Path 7, 3 points\nof part A\n\nx,y,z,nx,ny,nz", ",", "."),
+        ("X,Y,Z,I,J,K", ",", "."),
+        ("x,y,z,nx,ny,nz\nmm,mm,mm,-,-,-", ",", "."),
+        ("Path of a part", " ", "."),
+        (",x,y,z,nx,ny,nz", ",", "."),
+    ],
+)
+def test_spreadsheets_and_titles(
+    tmp_path: Path, spec: Callable[..., WaypointsSpec], head: str, separator: str, decimal: str
+) -> None:
+    """Semicolons where the comma is decimal, titles above the names, units below them, a tool's axis, a column of numbers; and
+    what the verifier reads of it again."""
+    first = ["7"] if head.startswith(",") else []
+    rows = "\n".join(separator.join(first + [str(v).replace(".", decimal) for v in row]) for row in ROWS)
+    given = spec("a.csv", f"{head}\n{rows}\n")
+    found = read_waypoints(given)
+    assert found.beads[0].points * 1e3 == pytest.approx(np.array(ROWS)[:, :3])
+    assert found.beads[0].normals == pytest.approx(np.array(ROWS)[:, 3:]) and not found.notes
+    again = segments_of(given)
+    assert not isinstance(again, NotRead)
+    assert again.start * 1e3 == pytest.approx(np.array(ROWS)[:-1, :3])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason", "hint"),
+    [
+        ("x,y,z,nx,ny,nz\nm,m,m,-,-,-\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "column x is in m, but", "unit: m"),
+        ("0 0 0 0.6 0 0.8 0\n1 0 0 0 0.7071 0.7071 0\n2 0 0 0.5 0.5 0.5 0.5\n", "a quaternion a line", "nx ny nz"),
+    ],
+)
+def test_what_is_meant_otherwise_is_refused(
+    spec: Callable[..., WaypointsSpec], text: str, reason: str, hint: str
+) -> None:
+    with pytest.raises(InputError, match=reason) as caught:
+        read_waypoints(spec("a.csv", text))
+    assert hint in (caught.value.hint or "")
+
+
+def test_a_seventh_column_beside_normals_is_passed_over(spec: Callable[..., WaypointsSpec]) -> None:
+    (bead,) = read_waypoints(
+        spec("a.txt", "0 0 0 0 0 1 0\n1 0 0 0 0.6 0.8 0\n2 0 0 0 0 1 0.5\n", smooth_normals_deg=0)
+    ).beads
+    assert len(bead.points) == 3
 
 
 def test_columns_that_mean_nothing_are_told(spec: Callable[..., WaypointsSpec]) -> None:

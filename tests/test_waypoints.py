@@ -151,7 +151,7 @@ BAD = [
     ("1 2 3 0 0 0", "the normal is zero", "direction"),
     ("1 2 3e9 0 0 1", "farther than 100 m", "mm"),
     ("x y z nx ny nz", "'x' is not a number", ""),
-    ("1;2;3;0;0;1", "six numbers", "1 value"),
+    ("1|2|3|0|0|1", "six numbers", "1 value"),
     ("1 2 3 0 0 1\x00", "is not a number", ""),
 ]
 
@@ -545,6 +545,19 @@ def test_layers_are_what_lies_on_something(stack: tuple[tuple[Bead, ...], Surfel
     bare = surface.tree.origin[surface.tree.bead == ALWAYS]
     assert len(bare) > 0
     assert (bare < 4 * len(beads[0].points)).mean() > 0.999
+
+
+def test_a_layer_lies_on_long_straight_lines_between_few_waypoints() -> None:
+    """Of lines 20 mm long, sampled at their ends alone, the middles are laid, too: what crosses them lies on them, not on a
+    part that has been there from the beginning."""
+    ends = np.concatenate([np.linspace(0.0, 0.3, 4), np.linspace(19.7, 20.0, 4)])
+    rows = [np.column_stack([ends[:: (-1) ** k], np.full(8, 0.5 * k), np.full(8, 0.5)]) for k in range(30)]
+    over = np.column_stack([np.full(141, 10.0), np.linspace(0.25, 14.25, 141), np.full(141, 1.0)])
+    up = np.array([0.0, 0.0, 1.0])
+    beads, surface = with_layers(beads_of([np.hstack([p, np.tile(up, (len(p), 1))]) for p in (np.vstack(rows), over)]))
+    assert [bead.layer for bead in beads] == [0, 1]
+    assert (surface.tree.origin[surface.tree.bead == ALWAYS] < len(beads[0].points)).all()
+    assert (surface.before(0).signed_distance(1e-3 * (over - 0.6 * up)) > 0.3e-3).all()
 
 
 def test_the_surface_grows(stack: tuple[tuple[Bead, ...], Surfels]) -> None:

@@ -36,6 +36,9 @@ _LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*"
 # a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
 _WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
 _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
+_ROTARY = "ABC"  # axes that turn the part or the nozzle, and
+_FURTHER = "UVW"  # those that machines have besides
+_AS_WAYPOINTS = "write its points and normals as waypoints: x y z nx ny nz a line, layers.source.waypoints"
 _BRACKETS = re.compile(r"\([^)]*\)")
 _HOMING = {"G28", "G161", "G162"}
 _AXES = re.compile(r"[XYZ]\s*[-+.\d]")
@@ -121,6 +124,9 @@ def read_gcode(
     if not machine.threads:
         if machine.lost is not None:
             raise machine.lost
+        if any(machine.others.values()):
+            moved = ", ".join(axis for axis, value in machine.others.items() if value)
+            raise complain(f"{path.name} extrudes nothing by E, and moves {moved}", hint=_AS_WAYPOINTS)
         raise complain(f"{path.name} extrudes nothing", hint="G-code of a slicer, with E")
     slow, fast = machine.speeds
     return GcodeFile(
@@ -212,6 +218,8 @@ class _Machine:
         self.flow = 1.0
         self.speed = math.nan
         self.plane = "G17"
+        self.others = dict.fromkeys(_ROTARY + _FURTHER, 0.0)  # where other axes are, and
+        self.moved, self.turned = "", ""  # which of them move in this line, which of the rotary ones are not at 0
         self.tool = 0
         self.height: float | None = None
         self.kind, self.share = "", ""
@@ -386,6 +394,7 @@ class _Machine:
     def _set(self, rest: str) -> None:
         """G92: here is what is said; all axes at 0 if nothing is."""
         words = self._words(rest) or dict.fromkeys("XYZE", 0.0)
+        self.others.update({axis: words[axis] for axis in self.others if axis in words})
         for axis in "XYZ":
             if axis in words:
                 self.close()
@@ -395,6 +404,7 @@ class _Machine:
     # Moves
     def _plain(self, text: str) -> None:
         """A move along a line, whose words are known to be well formed."""
+        self.moved = ""
         tokens = text.split()
         words = {token[0]: float(token[1:]) for token in tokens}
         if len(words) != len(tokens):
@@ -405,7 +415,25 @@ class _Machine:
     def _straight(self, rest: str) -> None:
         words = self._move_words(rest)
         if words is not None:
+            self._take_others(words)
             self._line(words)
+
+    def _take_others(self, words: dict[str, float]) -> None:
+        """Follow axes that a level print has no place for."""
+        self.moved = ""
+        for axis, before in self.others.items():
+            if axis in words:
+                self.others[axis] = words[axis] + (before if self.relative else 0.0)
+                self.moved += axis if self.others[axis] != before else ""
+        self.turned = "".join(axis for axis in _ROTARY if self.others[axis])
+
+    def _check_others(self) -> None:
+        """Raise where material flows while another axis moves, or with the part or the nozzle turned."""
+        if self.printing and self.moved:
+            raise self._wrong(f"{self.moved[0]} moves while material flows", _AS_WAYPOINTS)
+        if self.printing and self.turned:
+            axis = self.turned[0]
+            raise self._wrong(f"material flows with {axis} at {self.others[axis]:g}", _AS_WAYPOINTS)
 
     def _move_words(self, rest: str) -> dict[str, float] | None:
         """Words of a move; None in start code whose numbers the printer fills in."""
@@ -432,6 +460,8 @@ class _Machine:
             relative = self.relative if self.filament_relative is None else self.filament_relative
             end = unit * words["E"] + (self.filament if relative else 0.0)
             pushed, self.filament = end - self.filament, end
+        if pushed > 0.0 and (self.moved or self.turned):
+            self._check_others()
         if "F" in words:
             if words["F"] <= 0.0 and self.printing:
                 raise self._wrong(f"F is {words['F']:g}", "a speed is greater than 0")
@@ -456,6 +486,7 @@ class _Machine:
         words = self._move_words(rest)
         if words is None:
             return
+        self._take_others(words)
         x, y, z, pushed = self._goal(words)
         x0, y0, z0 = self.x, self.y, self.z
         self.x, self.y, self.z = x, y, z

@@ -345,8 +345,7 @@ def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tu
         curves = [densify(path.points) for path in clipped.paths]
         scanned = scan_surface(part.scan, read_scan(part.scan, complain), curves, complain)
         there = _fitting(problem, scanned.facets, clipped, most)
-        there = replace(there, told=(*there.told, scanned.words))
-        return _mesh_body(problem, None, scanned.facets, there, most)
+        return scanned.top, replace(there, told=(*there.told, scanned.words))
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
     facets = top_facets(part.mesh, complain)

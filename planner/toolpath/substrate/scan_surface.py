@@ -18,18 +18,23 @@ from planner.base.arrays import Array, Flags
 from planner.base.errors import Complaint, InputError
 from planner.problem.part import NOISIEST_MM, ScanSpec
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+from planner.toolpath.substrate.mesh_top import MeshTop
 
 BESIDE = 10e-3  # m beside curves within which points count
-KNOTS = (4, 8, 16, 32, 64)  # of the surface along the longer side of what is covered
+KNOTS = (4, 6, 8, 11, 16, 23, 32, 45, 64)  # of the surface along the longer side of what is covered
 _BINS = 240  # along that side: points in one bin count as their mean
 _FACETS, _LEAST_FACET = 300, 0.5e-3  # facets along that side, and m, the least of a facet
 _LOOKED = 200_000  # points by which the number of knots is chosen
-_BETTER = 0.998  # times the error of what is foretold: else twice the knots are no better
+_BETTER = 0.998  # times the error of what is foretold: else more knots are no better
 _WORSE = 2  # times in a row that more knots foretell no better, after which no more are tried
 _NEAREST = 16  # points by which it is told how dense they are
 _HOLE, _LEAST_HOLE = 5.0, 2e-3  # usual distances of points, and m: no random points leave so wide a gap
 _GRID = 400  # along the longer side of the scan, by which holes are looked for
 _MANY = 0.2  # of the points: no strays, and no single step
+_AROUND = (12, 24, 48)  # points around a place by which it is told whether they lean off the surface,
+_SURE, _LEAN = 4.0, np.radians(0.5)  # by more standard errors than this, and rad beyond them
+_IN_LINE = 1e-3  # of the squared reach of points: less aside says nothing of a slope that way
+_PLACES = 1500  # of the curves that are looked at
 FEWEST = 200  # points near the curves
 
 
@@ -46,6 +51,11 @@ class ScanSurface:
     rms: float
     count: int
     apart: float
+
+    @property
+    def top(self) -> MeshTop:
+        """The body: its facets are cut from the smooth surface, on which beads lie."""
+        return MeshTop(self.facets, self.field, 0.0)
 
     @property
     def words(self) -> str:
@@ -82,6 +92,7 @@ def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], where: 
     most = float(np.abs(off[worst]))
     if most > spec.noise:
         raise _too_far_off(spec, off, near[worst] * 1e3, where)
+    _check_shape(spec, near, off, plane, usual, where)
     tree = _facets(field, near, low, high, side, hole)
     return ScanSurface(tree, field, most, float(np.sqrt(np.mean(off**2))), len(near), apart)
 
@@ -103,6 +114,33 @@ def _too_far_off(spec: ScanSpec, off: Array, worst: Array, where: Complaint) -> 
         hint="there is a step, or a stray point: clean the scan"
         + (f"; or noise_mm: {wider:.2f}" if wider <= NOISIEST_MM else ""),
     )
+
+
+def _check_shape(spec: ScanSpec, points: Array, off: Array, plane: Array, usual: float, where: Complaint) -> None:
+    """Raise where points that are `off` (n) the surface [m] around curves x, y (k, 2) lean another way than it: noise does
+    not, but shape that is finer than the points tell does, and how a nozzle is to stand there is not known."""
+    places = plane[np.unique(np.linspace(0, len(plane) - 1, _PLACES).astype(np.int64))]
+    near = cKDTree(points[:, :2]).query(places, k=_AROUND[-1])[1]
+    usual_off, most, worst = float(np.median(np.abs(off))), 0.0, 0
+    for count in _AROUND:
+        beside = points[near[:, :count], :2] - places[:, None]
+        beside -= beside.mean(axis=1, keepdims=True)
+        inverse = np.linalg.pinv(np.swapaxes(beside, 1, 2) @ beside, rcond=_IN_LINE, hermitian=True)
+        high = off[near[:, :count]] - off[near[:, :count]].mean(axis=1, keepdims=True)
+        slope = np.einsum("nij,nkj,nk->ni", inverse, beside, high)
+        left = high - np.einsum("nkj,nj->nk", beside, slope)
+        scatter = np.maximum(np.sqrt((left**2).sum(axis=1) / (count - 3)), usual_off)
+        error = scatter * np.sqrt(np.trace(inverse, axis1=1, axis2=2))
+        beyond = np.arctan(np.linalg.norm(slope, axis=1)) - np.arctan(_SURE * error)
+        if (greatest := float(beyond.max())) > most:
+            most, worst = greatest, int(np.argmax(beyond))
+    if most > _LEAN:
+        x, y = places[worst] * 1e3
+        raise where(
+            f"around x {x:.1f}, y {y:.1f} mm the points of {spec.file.name} lean {np.degrees(most):.1f} deg or more off the smooth "
+            f"surface: the scan has shape there that is too fine for points {usual * 1e3:.2f} mm apart",
+            hint="scan it finer, smooth the scan, or keep off that place",
+        )
 
 
 def _usual_distance(points: Array) -> float:

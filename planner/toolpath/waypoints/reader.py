@@ -14,6 +14,7 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,9 @@ OPTIONAL = ("layer", "bead", "width", "height")
 LENGTHS = ("x", "y", "z", "width", "height")
 LARGEST_FILE = WAYPOINT_BYTES.most
 COMMENTS = ("#", "//", "%", ";")
+_TITLES = 20  # lines at most, in which the one that names columns may stand
 _OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
+_AXIS = {"i": "nx", "j": "ny", "k": "nz"}  # what programs for milling call the tool's axis
 _NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
 _UNIT = re.compile(r"\s*[\[(]\s*(mm|m)\s*[\])]")
 # what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
@@ -43,6 +46,8 @@ FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
+_LOOKED = 1000  # lines by which it is told whether they hold quaternions,
+_UNIT_LENGTH = 2e-3  # whose length is 1, rounded
 _NAMED_LINES = 5  # lines that a note names
 _AROUND = 3  # waypoints to either side that say which way a normal points,
 _FEWEST = 3  # so many at least, or else it may be these that are wrong,
@@ -115,8 +120,9 @@ def _named(names: Sequence[str], unit: str, wrong: Complaint) -> tuple[dict[str,
     """Where the columns of these names stand, and the names that are not used."""
     places: dict[str, int] = {}
     unused: list[str] = []
-    for i, word in enumerate(names):
-        name, stated = _name(word)
+    for i, (word, (name, stated)) in enumerate(zip(names, _names(names), strict=True)):
+        if not name:
+            continue
         if name not in (*NEEDED, *OPTIONAL):
             near = nearest_name(name, OPTIONAL)
             if near is not None and near not in places:
@@ -139,6 +145,15 @@ def _known() -> str:
     return f"columns: {' '.join(NEEDED)}, and if wanted {' '.join(OPTIONAL)}"
 
 
+def _names(words: Sequence[str]) -> list[tuple[str, str | None]]:
+    """The names of columns, and their units where they say one; x, y, z, i, j, k are points and normals, too."""
+    found = [_name(word) for word in words]
+    names = {name for name, _ in found}
+    if set(_AXIS) <= names and not names & set(_AXIS.values()):
+        return [(_AXIS.get(name, name), stated) for name, stated in found]
+    return found
+
+
 def _name(word: str) -> tuple[str, str | None]:
     """The name of a column, and its unit where it says one: x_mm, X [mm]."""
     plain = _UNIT.sub(r"_\1", word.strip().strip("\"'").lower())
@@ -151,6 +166,8 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     lines = read_text(path, LARGEST_FILE, complain)
     if _first_word(lines) in _OBJ_WORDS:
         return _vertices(path, lines, complain)
+    if _semicolons(lines):
+        lines = [line if line.lstrip()[:1] in COMMENTS else line.replace(",", ".").replace(";", ",") for line in lines]
     layout, numbers = _layout(path, lines, unit)
     if not numbers:
         raise complain(f"{path.name} holds no waypoints", hint="lines x y z nx ny nz, in mm")
@@ -166,7 +183,31 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     except (ValueError, UserWarning):
         table = np.array([_row(path, layout, row, i) for row, i in zip(rows, numbers, strict=True)])
     values = {name: table[:, k] for k, name in enumerate(layout.places)}
+    if layout is _PLAIN and _are_quaternions([layout.split(row) for row in rows[:_LOOKED]]):
+        raise complain(
+            f"{path.name} has three numbers and a quaternion a line, as of tool poses",
+            hint="write the direction against the nozzle in its place: x y z nx ny nz",
+        )
     return Columns(values, np.array(numbers, dtype=np.int64), layout.unused)
+
+
+def _are_quaternions(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether lines without names hold seven numbers, of which the last four are of length 1 and no three of these always."""
+    if any(len(row) != 7 for row in rows):
+        return False
+    found = [[number(word) for word in row[3:]] for row in rows]
+    if any(value is None for row in found for value in row):
+        return False
+    four = np.array(found, dtype=float)
+    unit = np.abs(np.linalg.norm(four, axis=1) - 1.0) < _UNIT_LENGTH
+    normal = np.abs(np.linalg.norm(four[:, :3], axis=1) - 1.0) < _UNIT_LENGTH
+    return bool(unit.all() and not normal.all())
+
+
+def _semicolons(lines: Sequence[str]) -> bool:
+    """Whether semicolons separate values, as spreadsheets write them where the comma is decimal."""
+    content = (line for line in lines if line.strip() and line.lstrip()[0] not in COMMENTS)
+    return any(line.count(";") >= len(NEEDED) - 1 for line in islice(content, _TITLES + 1))
 
 
 def _first_word(lines: Sequence[str]) -> str:
@@ -213,21 +254,48 @@ def _layout(path: Path, lines: list[str], unit: str) -> tuple[_Layout, list[int]
     content = [i for i in full if not lines[i - 1].lstrip().startswith(COMMENTS)]
     if not content:
         return _PLAIN, []
-    first = content[0]
-    head = lines[first - 1]
-    if not any(number(word) is not None for word in _words(head)):
-        content = content[1:]
+    first = _header(lines, content[:_TITLES])
+    if first is not None:
+        content = [i for i in content if i > first]
+        words = _words(lines[first - 1])
+        if content and not _numbers_in(lines[content[0] - 1]):  # a line of units
+            words = [_with_unit(word, lines[content[0] - 1], k) for k, word in enumerate(words)]
+            content = content[1:]
     else:
-        above = [i for i in full if i < first]
-        first = above[-1] if above else first
-        head = lines[first - 1].lstrip().lstrip("#/%; ") if above else ""
-        if not set(NEEDED) <= {_name(word)[0] for word in _words(head)}:
+        if not _numbers_in(lines[content[0] - 1]):
+            return _PLAIN, content[1:]  # a title
+        above = [i for i in full if i < content[0]]
+        head = lines[above[-1] - 1].lstrip().lstrip("#/%; ") if above else ""
+        words = _words(head)
+        if not set(NEEDED) <= {name for name, _ in _names(words)}:
             return _PLAIN, content  # a remark
-    words = _words(head)
-    if len({_name(word)[0] for word in words} & set(NEEDED)) < _NAMING:
-        return _PLAIN, content
+        first = above[-1]
+    head = lines[first - 1]
     places, unused = _named(words, unit, partial(InputError, file=path, line=first))
     return _Layout(places, "," if "," in head else None, len(words), unused), content
+
+
+def _header(lines: Sequence[str], content: Sequence[int]) -> int | None:
+    """The number of the line that names columns, below titles, if there is one."""
+    for i in content:
+        numbers = _numbers_in(lines[i - 1])
+        if not numbers and len({name for name, _ in _names(_words(lines[i - 1]))} & set(NEEDED)) >= _NAMING:
+            return i
+        if numbers >= len(NEEDED):
+            return None
+    return None
+
+
+def _numbers_in(line: str) -> int:
+    """How many words of a line are numbers."""
+    return sum(number(word) is not None for word in _words(line))
+
+
+def _with_unit(name: str, units: str, column: int) -> str:
+    """The name of a column with the unit that stands below it, in a line of units."""
+    below = _words(units)
+    unit = below[column].strip("[]() ").lower() if column < len(below) else ""
+    return f"{name}_{unit}" if unit in TO_SI and _name(name)[1] is None else name
 
 
 def _words(line: str) -> list[str]:

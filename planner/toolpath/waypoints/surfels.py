@@ -196,7 +196,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
-    beneath = _beneath(tips, normals, centres, height, 2.0 * radius)
+    beneath = _beneath(_dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
     layers: list[int] = []
     for i, bead in enumerate(beads):
@@ -224,22 +224,38 @@ def tips_tree(tips: Array) -> PrintedPoints:
     return printed_points(tips, np.full(len(tips), ALWAYS))
 
 
-def _beneath(tips: Array, normals: Array, centres: Array, height: Array, reach: float) -> Ints:
-    """For each sample (n) an earlier one that lies about one bead's height beneath it, or -1.
+def _dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
+    """Samples and places between them, where they stand farther apart than that [m], as on straight lines: tips and normals
+    (m, 3), and the sample (m) with which each place is laid."""
+    step = np.linalg.norm(np.diff(tips, axis=0), axis=1)
+    step[first[1:-1] - 1] = 0.0  # from one bead to the next nothing is laid
+    count = np.append(1, np.maximum(np.ceil(step / apart), 1.0).astype(np.int64))
+    sample = np.repeat(np.arange(len(tips)), count)
+    back = (np.cumsum(count)[sample] - 1 - np.arange(len(sample))) / count[sample]
+    before = np.maximum(sample - 1, 0)
+    mixed = [x[sample] + back[:, None] * (x[before] - x[sample]) for x in (tips, normals)]
+    return mixed[0], mixed[1], sample
 
-    How far two samples are apart in height is measured along the mean of their normals: 0 on any sphere.
+
+def _beneath(
+    laid: tuple[Array, Array, Ints], tips: Array, normals: Array, centres: Array, height: Array, reach: float
+) -> Ints:
+    """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `_dense`.
+
+    How far two places are apart in height is measured along the mean of their normals: 0 on any sphere.
     """
     n = len(tips)
-    tree = cKDTree(tips, balanced_tree=False, compact_nodes=False)
+    places, leaning, sample = laid
+    tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
     _, near = tree.query(centres, k=min(_NEIGHBOURS, n), workers=-1)
     near = near.reshape(n, -1)
     found = np.full(n, -1, dtype=np.int64)
     for other in near.T[::-1]:
-        way = tips - tips[other]
-        mean = normals + normals[other]
+        way = tips - places[other]
+        mean = normals + leaning[other]
         mean = mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
         up = (way * mean).sum(axis=1)
         aside = np.linalg.norm(way - up[:, None] * mean, axis=1)
-        under = (other < np.arange(n)) & (up > 0.5 * height) & (up < 1.5 * height) & (aside <= reach)
-        found = np.where(under, other, found)
+        under = (sample[other] < np.arange(n)) & (up > 0.5 * height) & (up < 1.5 * height) & (aside <= reach)
+        found = np.where(under, sample[other], found)
     return found

@@ -21,6 +21,7 @@ from planner.verify.reread.plane_curves import NotRead, gone
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
 _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
 _ARC = 64  # chords of an arc
+_SEMICOLONS = 5  # in a line, from which on they separate values
 _COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
@@ -103,6 +104,8 @@ def _table(path: Path, changed: int, size: int) -> Array | NotRead:
         return np.array(vertices, dtype=float)
     columns = [0, 1, 2]
     for line in lines:
+        if line.count(";") >= _SEMICOLONS:  # which stand where the comma is decimal
+            line = line.replace(",", ".")
         words = [word for word in re.split(r"[,;\s]+", line.strip(" \t#/%;")) if word]
         heads = [word.strip(" \t#/%;\"'") for word in line.split(",")] if "," in line else words
         found = {match[1].lower(): i for i, word in enumerate(heads) if (match := _COLUMN.fullmatch(word))}

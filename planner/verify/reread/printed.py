@@ -58,7 +58,7 @@ from planner.verify.reread.wing import wing
 from planner.verify.scanned import asked_height
 
 OFF_SCAN = 0.05e-3  # m by which beads may lie off a scan's points, beyond what these are unsure of
-TURNED_SCAN = np.radians(1.0)  # likewise of normals
+TURNED_SCAN = np.radians(1.5)  # likewise of normals
 _SEEN = 1500  # places of the whole print at which distances from facets are measured
 _CHORDS = 2.0  # chord tolerances, of the planner's reading and of this one
 _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before its corners are rounded
