@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planner.planning.candidates import PlannedPaths, _best, _leaves_to_be_desired
+from benchmarks.random_cells import make_case
+from planner.planning.candidates import HELD, PlannedPaths, _best, _leaves_to_be_desired
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 
@@ -55,7 +56,9 @@ def test_speed_and_time_are_weighed(plans: list[tuple[str, float, float]], best:
 def test_others_are_asked_where_something_is_left_to_be_desired() -> None:
     assert not _leaves_to_be_desired(planned("own", 1.0, 100.0), 1000, 1)
     assert _leaves_to_be_desired(planned("own", 0.99, 100.0), 1000, 1)
-    assert not _leaves_to_be_desired(planned("own", 0.99, 100.0), 100_000, 1)
+    assert not _leaves_to_be_desired(planned("own", 0.99, 100.0), 10_000, 1)  # 1 % is not worth so long a search
+    assert _leaves_to_be_desired(planned("own", 0.98, 100.0), 10_000, 1)
+    assert not _leaves_to_be_desired(planned("own", 0.98, 100.0), 100_000, 1)
     assert _leaves_to_be_desired(planned("own", 1.0, 100.0, verified=False), 100_000, 1)
     travels = planned("own", 1.0, 100.0)
     travels.report.metrics["deposition_time_s"] = 50.0
@@ -98,6 +101,17 @@ def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
     limits = plan.cell.limits
     assert np.ptp(plan.q[:, 6]) > 2.0 * np.pi
     assert (plan.q <= limits.q_max + 1e-9).all() and (plan.q >= limits.q_min - 1e-9).all()
+
+
+@pytest.mark.slow
+def test_ends_are_held_where_refined_ones_cost_travel(tmp_path: Path) -> None:
+    """Two short beads of a seven-axes arm, whose elbow would be refined far from home."""
+    problem = load_problem(make_case("seven_axes", 702).write(tmp_path))
+    plan, found = solve(problem, baseline=False), solve(problem, "ladder", baseline=False)
+    assert plan.verified and found.verified
+    assert plan.resolved_by == HELD
+    assert plan.metrics["at_speed_fraction"] > found.metrics["at_speed_fraction"] + 0.01
+    assert plan.metrics["print_time_s"] <= 1.02 * found.metrics["print_time_s"]
 
 
 @pytest.mark.slow

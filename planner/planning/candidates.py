@@ -8,6 +8,7 @@ and the best plan is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +48,9 @@ AS_GOOD_SPEED, AS_GOOD_TIME = (
 WORTH_TIMING = 5e-4  # share of the time that paths must save before they are timed and verified
 SAME_TIME = 1.01  # times the least cost within which the default's own plan is taken
 SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
+LONGER = 1.02  # times the least time, above which the ladder's paths are refined once more,
+HELD = "ladder, refined with ends held"
+HOLDS = 100.0  # times the usual price of ends of beads that move
 FAR_BEYOND = 0.1  # rad beyond a cone, and
 FAR_BEHIND = 0.01  # share of the time lost more, from which refining seldom brings paths back
 
@@ -101,7 +105,21 @@ def best_of_all(
             continue
         if planned.verified:
             verified.append(planned)
+    if own is not None and own.verified and own.refined_from and own.print_time > LONGER * _soonest(verified):
+        with suppress(Refusal):
+            planned = plan_paths(HELD, _refined_with_held_ends(given, own.refined_from))
+            if planned.verified:
+                verified.append(planned)
     return _best(verified) if verified else own
+
+
+def _refined_with_held_ends(given: PlanningContext, paths: Sequence[JointPath]) -> Sequence[JointPath]:
+    """The ladder's paths refined, and the ends of beads hardly moved: what travel takes stays."""
+    settings = given.problem.resolve
+    weights = settings.weights.model_copy(update={"travel": HOLDS * settings.weights.travel})
+    return refine_paths(
+        given.cell, paths, settings.model_copy(update={"weights": weights}), given.obstacles, given.terms
+    )
 
 
 def _leaves_to_be_desired(own: PlannedPaths, waypoints: int, beads: int) -> bool:
@@ -173,10 +191,15 @@ def _simpler_paths(
             yield name, paths
 
 
+def _soonest(plans: Sequence[PlannedPaths]) -> float:
+    """The least time of a print [s]."""
+    return min(plan.print_time for plan in plans)
+
+
 def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
     """Of verified plans the one that costs least, among those that are about as good as any of them both at speed and in
     time, where there are such; the first, the default's own if it is there, if it costs about as little."""
-    most, soonest = max(plan.at_speed for plan in plans), min(plan.print_time for plan in plans)
+    most, soonest = max(plan.at_speed for plan in plans), _soonest(plans)
     as_good = [
         plan for plan in plans if plan.at_speed >= most - AS_GOOD_SPEED and plan.print_time <= AS_GOOD_TIME * soonest
     ]
