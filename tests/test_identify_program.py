@@ -177,6 +177,7 @@ def test_what_was_asked_is_read_back(tmp_path: Path) -> None:
     [
         (lambda data: data.update(format="other"), "its format is 'other'"),
         (lambda data: data.pop("moves"), "is not what a test program asked"),
+        (lambda data: data.pop("language"), "is not what a test program asked"),
         (lambda data: data.update(moves=[]), "it has no moves"),
         (lambda data: data["moves"][0].update(joint="joint_9"), "is not what a test program asked"),
         (lambda data: data["joints"].pop(), "was asked of"),

@@ -57,7 +57,7 @@ from planner.plan.seal import changed_since, sealed
 from planner.planning.pipeline import as_it_is, solve
 from planner.problem import Problem, load_problem
 from planner.problem.as_run import AsRunSpec
-from planner.verify.as_run import as_run
+from planner.verify.as_run import as_run, learned_shifts
 
 
 @pytest.fixture(scope="module")
@@ -204,6 +204,14 @@ def test_a_file_that_holds_no_corrections_is_refused_by_line(plan: Plan, tmp_pat
         read_corrections(path, plan.toolpath, WRONG)
     path.write_text(ROWS, encoding="utf-8")
     assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_file_of_no_rows_displaces_nothing(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "corrections.csv"
+    path.write_text(ROWS.splitlines()[0] + "\n", encoding="utf-8")
+    assert not learned_shifts(path, plan.trajectory).any()
+    assert len(read_corrections(path, plan.toolpath, WRONG).s) == 0
 
 
 SPOILERS = st.lists(

@@ -470,6 +470,7 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
         columns = {key: _numbers(joints, key) for key in ("start", "controller_sign", "controller_offset")}
         asked = [_optional(joints, f"asked_{what}") for what in ("speed", "acceleration", "jerk")]
         found = tuple(_move(move, names, units) for move in moves)
+        for_problem, language = str(data["problem"]), str(data["language"])
     except FileNotFoundError:
         raise InputError("there is no such file", file=path, hint=f"{hint}; --asked names it") from None
     except (OSError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
@@ -480,8 +481,8 @@ def read_asked(path: Path, problem: Problem, cell: Cell) -> AskedMoves:
     if any(each is not None and not (np.isfinite(each) & (each > 0.0)).all() for each in asked):
         raise InputError(f"{wrong}: a limit of it is not above 0", file=path, hint=hint)
     return AskedMoves(
-        problem=str(data["problem"]),
-        language=str(data["language"]),
+        problem=for_problem,
+        language=language,
         joint_names=names,
         sliding=cell.limits.sliding,
         start=columns["start"] * units,

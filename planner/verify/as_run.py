@@ -89,7 +89,10 @@ def learned_shifts(path: Path, t: Trajectory) -> Array:
     try:
         with path.open(encoding="utf-8") as stream:
             names = [name.strip() for name in stream.readline().split(",")]
-            table = np.loadtxt(stream, delimiter=",", usecols=[names.index(name) for name in _FIELDS], ndmin=2)
+            columns, lines = [names.index(name) for name in _FIELDS], [line for line in stream if line.strip()]
+        table = np.zeros((0, len(_FIELDS)))
+        if lines:
+            table = np.loadtxt(lines, delimiter=",", usecols=columns, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError("is no file of corrections", file=path, hint="beadwise learn writes them") from error
     out = np.zeros((len(t), 3))
