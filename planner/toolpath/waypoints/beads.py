@@ -24,6 +24,7 @@ from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
+from planner.toolpath.waypoints.apart import other_height
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import WaypointFile, Waypoints, read_waypoints
 from planner.toolpath.waypoints.struts import struts_of
@@ -206,6 +207,7 @@ def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile
         notes = [f"{spec.source.name}: {told}"]
     else:
         notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
+    notes += _height_note(spec, paths, laid, process.bead.height)
     return Toolpath(laid, surface, notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
@@ -222,6 +224,8 @@ def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> 
     laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
     notes = [f"{spec.source.name}: {told}"] if told else []
+    if spec.source.kind is None:  # it may be a surface that is read with another height
+        notes += _height_note(spec, paths, laid, process.bead.height)
     return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
@@ -270,6 +274,18 @@ def laid_through(
         )
         for path, curve, zero, (width, height) in zip(paths, curves, zeros, sizes, strict=True)
     ]
+
+
+def _height_note(
+    spec: WaypointLayersSpec, paths: Sequence[Waypoints], beads: Sequence[Bead], height: float
+) -> Iterator[str]:
+    """That layers lie clearly farther apart, or nearer together, than beads are high [m], where the file does not say how high."""
+    apart = None if paths[0].height is not None else other_height(beads, height)
+    if apart is not None:
+        yield (
+            f"{spec.source.name}: its layers lie {apart * 1e3:.2g} mm apart, and process.bead.height_mm is {height * 1e3:g}: none "
+            "counts as printed on another"
+        )
 
 
 def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:
