@@ -239,6 +239,9 @@ WRONG = [
     ("a.csv", f"{HEADER},widht\n{GOOD},1\n", 1, "unknown column 'widht'", "did you mean width?"),
     ("a.csv", f"{HEADER},x\n{GOOD},1\n", 1, "column x is there twice", ""),
     ("a.csv", f"x_m,y_m,z_m,nx,ny,nz\n{GOOD}\n", 1, "column x is in m, but layers.source.unit is mm", "unit: m"),
+    ("a.csv", f"x_in,y_in,z_in,nx,ny,nz\n{GOOD}\n", 1, "column x is in in", "lengths are read in mm or m"),
+    ("a.csv", f"# X [inch] Y [inch] Z [inch] nx ny nz\n{GOOD}\n", 1, "column x is in inch", "mm or m"),
+    ("a.csv", f"{HEADER}\ncm,cm,cm,-,-,-\n{GOOD}\n", 1, "column x is in cm", "mm or m"),
     ("a.csv", f"{HEADER},width\r\n{GOOD},1\r\n{GOOD},\r\n", 3, "width is missing", ""),
     ("a.csv", f"{HEADER},width\n{GOOD},1\n{GOOD}\n", 3, "the header names 7 columns; here are 6 values", ""),
     ("a.csv", f"{HEADER},width\n{GOOD},1\n1,0,0,0,0,1,-2\n", 3, "width is -2 mm", "0.01 to 50 mm"),
@@ -293,6 +296,30 @@ def test_nothing_is_written_for_a_bad_file(
     message = capsys.readouterr().err
     assert message.startswith("error: ")
     assert message.count("\n") == 1
+
+
+def test_a_file_in_metres_is_told_from_one_in_millimetres_by_its_size(tmp_path: Path) -> None:
+    """A line of 120 mm, written in metres; and read so, it is one."""
+    (tmp_path / "a.csv").write_text(csv(line(121) | {"x": np.linspace(0.0, 0.12, 121)}))
+    told = "all of it is 0.12 x 0 x 0 mm large; of a file in metres (layers.source.unit: m) it would be 120 x 0 x 0 mm"
+    with pytest.raises(InputError, match=r"is only 0\.1200 mm long") as caught:
+        build_toolpath(load_problem(case_text(tmp_path, "a.csv")))
+    assert caught.value.hint == told
+    toolpath = build_toolpath(load_problem(case_text(tmp_path, "a.csv", unit="m")))
+    assert toolpath.beads[0].length == pytest.approx(0.12)
+    assert not any("in metres" in note for note in toolpath.notes)
+
+
+def test_a_file_that_is_hardly_larger_than_a_bead_gets_a_note(tmp_path: Path) -> None:
+    """A line of 1 m in metres, long enough for a bead in mm; and one that turns back, whose corners are too sharp then."""
+    (tmp_path / "a.csv").write_text(csv(line(101) | {"x": np.linspace(0.0, 1.0, 101)}))
+    notes = build_toolpath(load_problem(case_text(tmp_path, "a.csv"))).notes
+    assert any("layers.source.unit: m" in note for note in notes)
+    x = np.abs(np.arange(0.0, 40.0, 0.1) % 2.0 - 1.0) * 0.12
+    (tmp_path / "a.csv").write_text(csv(line(len(x)) | {"x": x, "y": np.arange(len(x)) * 1e-4}))
+    with pytest.raises(InputError, match="shrinks path") as caught:
+        build_toolpath(load_problem(case_text(tmp_path, "a.csv")))
+    assert "layers.source.unit: m" in str(caught.value)
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -217,12 +217,20 @@ class PrintBody(ReadOnlyArrays):
     @cached_property
     def without_bodies(self) -> PrintBody:
         """Part and print alone."""
-        if not self.bodies:
-            return self
-        start, tree = int(self.first[self.bodies]), self.tree
-        kept = np.argsort(tree.number)[start:]
+        return self._of(self.bodies, len(self.names)) if self.bodies else self
+
+    @cached_property
+    def bodies_alone(self) -> PrintBody:
+        """The cell's bodies alone."""
+        return replace(self._of(0, self.bodies), bodies=self.bodies)
+
+    def _of(self, begin: int, end: int) -> PrintBody:
+        """Some of the things, none of them a body of the cell."""
+        first, last = int(self.first[begin]), int(self.first[end])
+        tree = self.tree
+        kept = np.argsort(tree.number)[first:last]
         alone = point_tree(tree.points[kept], tree.radius[kept], tree.time[kept])
-        return PrintBody(alone, self.first[self.bodies :] - start, self.names[self.bodies :])
+        return PrintBody(alone, self.first[begin : end + 1] - first, self.names[begin:end])
 
     def name_of(self, point: int) -> str:
         """What a point belongs to, given in the tree's order."""

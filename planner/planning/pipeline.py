@@ -53,8 +53,8 @@ from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
 from planner.planning.short_runs import all_short, may_be_short, with_short_runs
-from planner.planning.struts import check_struts
 from planner.planning.tried import hints_that_hold, other_places
+from planner.planning.upright import check_upright
 from planner.problem import Problem, load_problem
 from planner.problem.overrides import overrides_of, printed
 from planner.problem.waypoint_arrays import WaypointArrays
@@ -185,7 +185,7 @@ def solve(
             return _planned(strategy, given, dt, stages, shared, over)
 
         try:
-            check_struts(given)
+            check_upright(given)
             (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
         except Refusal as refusal:
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)

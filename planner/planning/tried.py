@@ -17,11 +17,13 @@ from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.task import noise_of
+from planner.toolpath.waypoints.apart import other_height
 from planner.toolpath.waypoints.beads import NOTED
 
 MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
 MOST_PLANS = 6  # and in so many plans
 _UNTRIED = "not planned to the end"
+_HEIGHT = "process.bead.height_mm"
 _SMOOTHING = "layers.source.smooth_normals_deg"
 _SMOOTHINGS = ("1", "3")  # deg
 
@@ -42,7 +44,7 @@ def hints_that_hold(
     best: plans by the default strategy, where the refusal is of another one
     otherwise: told where no change gives a verified plan
     """
-    hints = (*_other_side(problem, toolpath), *hints, *_smoothing(problem, toolpath))
+    hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *hints, *_smoothing(problem, toolpath))
     waypoints = sum(len(bead.s) for bead in toolpath.beads)
     left, told, holds = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), [], False
     if best is not None and left:
@@ -114,6 +116,19 @@ def _other_side(problem: Problem, toolpath: Toolpath) -> Hints:
     other = "outward" if layers.source.normals == "inward" else "inward"
     what = f"layers.source.normals: {other} (they point down on the whole)"
     return (Change(what, ((what, (("layers.source.normals", other),)),)),)
+
+
+def _other_height(problem: Problem, toolpath: Toolpath) -> Hints:
+    """The height of beads that a file's layers have, where the problem has another one."""
+    layers, height = problem.layers, problem.process.bead.height
+    if not isinstance(layers, WaypointLayersSpec):
+        return ()
+    told = any((bead.height != height).any() for bead in toolpath.beads) and not toolpath.beads[0].round
+    apart = None if told else other_height(toolpath.beads, height)
+    if apart is None:
+        return ()
+    what = f"{_HEIGHT}: {apart * 1e3:.2g} (the file's layers lie so far apart)"
+    return (Change(what, ((what, ((_HEIGHT, f"{apart * 1e3:.2g}"),)),)),)
 
 
 def _smoothing(problem: Problem, toolpath: Toolpath) -> Hints:

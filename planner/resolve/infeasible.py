@@ -457,7 +457,7 @@ def refuse_rung(
             now = np.full(len(there), demand.now[demand.rung[rung]])
             margin, which = obstacles.margins(there, now, np.inf, CLEAR_ROOM)
             k = int(np.argmax(margin))
-            standing = obstacles.standing(cell, there[k], float(now[k]), float(margin[k]) + CLEAR_ROOM)
+            standing = obstacles.standing(cell, there[k], float(now[k]), float(margin[k]))
             every = _collision(obstacles, int(which[k]), float(margin[k]), "every posture of the search here", standing)
             down = descent(task, i)
             if down > STEEP and task.first <= i <= task.last:  # run-ins come down by themselves

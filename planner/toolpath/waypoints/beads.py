@@ -24,6 +24,7 @@ from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
+from planner.toolpath.waypoints.apart import other_height
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import WaypointFile, Waypoints, read_waypoints
 from planner.toolpath.waypoints.struts import struts_of
@@ -36,6 +37,7 @@ NOTED = np.radians(0.05)  # noise of half the normals; of those that come from f
 CLEAR = 2e-5  # m, and a tenth of a bead's height: how far it must be, since it may be that far off its path
 
 SPATIAL = "layers.source.kind: spatial"
+_TINY = 2.0  # widths of a bead: a file that is smaller may be in metres
 _UNLIKE = 1.5  # times a bead's height from which on layers are evidently farther apart than that
 _APART = 0.5  # of the bead's width: passes lie no closer to each other
 _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
@@ -43,6 +45,19 @@ _PER_RUN = 10.0  # samples in a run-in, whose spacing is that of the bead's end
 
 class NoSurface(InputError):
     """Waypoints that lie on no surface: what they print, if anything, are struts in space."""
+
+
+def in_metres(paths: Sequence[Waypoints], spec: WaypointsSpec, width: float) -> str:
+    """What to say of a file in mm all of which is hardly larger than the width of a bead [m]; nothing of any other."""
+    points = np.concatenate([path.points for path in paths])
+    size = np.ptp(points, axis=0)
+    if spec.unit != "mm" or not 0.0 < float(size.max()) < _TINY * width:
+        return ""
+    x, y, z = 1e3 * size
+    return (
+        f"all of it is {x:.3g} x {y:.3g} x {z:.3g} mm large; of a file in metres (layers.source.unit: m) it would be "
+        f"{1e3 * x:.3g} x {1e3 * y:.3g} x {1e3 * z:.3g} mm"
+    )
 
 
 def check_waypoints(path: Waypoints, spec: WaypointsSpec, width: float) -> None:
@@ -136,8 +151,22 @@ def through_waypoints(problem: Problem, spec: WaypointLayersSpec) -> Toolpath:
 
     Where the problem does not say which, they are on a surface if there is one.
     """
+    width = problem.process.bead.width
+    read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), width)
+    metres = in_metres(read.beads, spec.source, width)
+    if not metres:
+        return _on_a_surface_or_not(problem, spec, read)
+    try:
+        return _on_a_surface_or_not(problem, spec, replace(read, notes=(*read.notes, f"{spec.source.name}: {metres}")))
+    except InputError as error:
+        raise InputError(
+            error.reason, file=error.file, line=error.line, field=error.field, hint=metres, all=error.all
+        ) from None
+
+
+def _on_a_surface_or_not(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> Toolpath:
+    """See `through_waypoints`."""
     process, kind = problem.process, spec.source.kind
-    read = read_waypoints(spec.source, partial(problem.error, "layers.source.waypoints"), process.bead.width)
     widths = [process.bead.width if path.width is None else float(path.width.min()) for path in read.beads]
     for path, width in zip(read.beads, widths, strict=True):
         check_waypoints(path, spec.source, width)
@@ -178,6 +207,7 @@ def _on_a_surface(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile
         notes = [f"{spec.source.name}: {told}"]
     else:
         notes = [] if process.cones.tilt > 0.0 else list(_noise_note(laid))
+    notes += _height_note(spec, paths, laid, process.bead.height)
     return Toolpath(laid, surface, notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
@@ -194,6 +224,8 @@ def in_space(problem: Problem, spec: WaypointLayersSpec, read: WaypointFile) -> 
     laid = tuple(replace(bead, round=True) for bead in laid_through(problem, spec, paths, sizes))
     laid = with_file_layers(laid, paths)
     notes = [f"{spec.source.name}: {told}"] if told else []
+    if spec.source.kind is None:  # it may be a surface that is read with another height
+        notes += _height_note(spec, paths, laid, process.bead.height)
     return Toolpath(laid, struts_of(laid), notes=(*read.notes, *notes), told=Told(read.left_out))
 
 
@@ -242,6 +274,18 @@ def laid_through(
         )
         for path, curve, zero, (width, height) in zip(paths, curves, zeros, sizes, strict=True)
     ]
+
+
+def _height_note(
+    spec: WaypointLayersSpec, paths: Sequence[Waypoints], beads: Sequence[Bead], height: float
+) -> Iterator[str]:
+    """That layers lie clearly farther apart, or nearer together, than beads are high [m], where the file does not say how high."""
+    apart = None if paths[0].height is not None else other_height(beads, height)
+    if apart is not None:
+        yield (
+            f"{spec.source.name}: its layers lie {apart * 1e3:.2g} mm apart, and process.bead.height_mm is {height * 1e3:g}: none "
+            "counts as printed on another"
+        )
 
 
 def _noise_note(beads: Sequence[Bead]) -> Iterator[str]:

@@ -37,10 +37,11 @@ _TITLES = 20  # lines at most, in which the one that names columns may stand
 _OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
 _AXIS = {"i": "nx", "j": "ny", "k": "nz"}  # what programs for milling call the tool's axis
 _NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
-_UNIT = re.compile(r"\s*[\[(]\s*(mm|m)\s*[\])]")
+_UNREAD = ("cm", "um", "in", "inch", "inches", "ft")  # units that names of columns state, in which no file is read
+_UNIT = re.compile(rf"\s*[\[(]\s*(mm|m|{'|'.join(_UNREAD)})\s*[\])]")
 # what numpy and zipfile raise at files that are cut off, damaged, encrypted, or lie about their size
 _UNREADABLE = (zipfile.BadZipFile, zlib.error, ValueError, OSError, EOFError, RuntimeError, MemoryError, OverflowError)
-_NAME = re.compile(r"(.+)_(mm|m)")
+_NAME = re.compile(rf"(.+)_(mm|m|{'|'.join(_UNREAD)})")
 
 FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
@@ -131,6 +132,8 @@ def _named(names: Sequence[str], unit: str, wrong: Complaint) -> tuple[dict[str,
             continue
         if name in places:
             raise wrong(f"column {name} is there twice")
+        if stated in _UNREAD and name in LENGTHS:
+            raise wrong(f"column {name} is in {stated}", hint="lengths are read in mm or m, see layers.source.unit")
         if stated is not None and name in LENGTHS and stated != unit:
             raise wrong(f"column {name} is in {stated}, but layers.source.unit is {unit}", hint=f"unit: {stated}")
         places[name] = i
@@ -295,7 +298,7 @@ def _with_unit(name: str, units: str, column: int) -> str:
     """The name of a column with the unit that stands below it, in a line of units."""
     below = _words(units)
     unit = below[column].strip("[]() ").lower() if column < len(below) else ""
-    return f"{name}_{unit}" if unit in TO_SI and _name(name)[1] is None else name
+    return f"{name}_{unit}" if unit in (*TO_SI, *_UNREAD) and _name(name)[1] is None else name
 
 
 def _words(line: str) -> list[str]:

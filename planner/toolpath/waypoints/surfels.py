@@ -19,6 +19,7 @@ from planner.toolpath.bead import Bead
 from planner.toolpath.waypoints.nearest import ALWAYS, FAR, PrintedPoints, nearest_printed, printed_points
 
 SHELL = 10e-3  # m of solid beneath a disc
+OTHER_HEIGHT = (0.5, 1.5)  # of a bead's height: what lies nearer or farther beneath a bead is not what it is printed on
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
 _ABOVE = 0.9  # of the distance, along the normal: a place of another layer
@@ -196,7 +197,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
-    beneath = _beneath(_dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
+    beneath = _beneath(dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
     layers: list[int] = []
     for i, bead in enumerate(beads):
@@ -224,7 +225,7 @@ def tips_tree(tips: Array) -> PrintedPoints:
     return printed_points(tips, np.full(len(tips), ALWAYS))
 
 
-def _dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
+def dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
     """Samples and places between them, where they stand farther apart than that [m], as on straight lines: tips and normals
     (m, 3), and the sample (m) with which each place is laid."""
     step = np.linalg.norm(np.diff(tips, axis=0), axis=1)
@@ -240,11 +241,11 @@ def _dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Arra
 def _beneath(
     laid: tuple[Array, Array, Ints], tips: Array, normals: Array, centres: Array, height: Array, reach: float
 ) -> Ints:
-    """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `_dense`.
+    """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `dense`.
 
     How far two places are apart in height is measured along the mean of their normals: 0 on any sphere.
     """
-    n = len(tips)
+    n, (low, high) = len(tips), OTHER_HEIGHT
     places, leaning, sample = laid
     tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
     _, near = tree.query(centres, k=min(_NEIGHBOURS, n), workers=-1)
@@ -256,6 +257,6 @@ def _beneath(
         mean = mean / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
         up = (way * mean).sum(axis=1)
         aside = np.linalg.norm(way - up[:, None] * mean, axis=1)
-        under = (sample[other] < np.arange(n)) & (up > 0.5 * height) & (up < 1.5 * height) & (aside <= reach)
+        under = (sample[other] < np.arange(n)) & (up > low * height) & (up < high * height) & (aside <= reach)
         found = np.where(under, sample[other], found)
     return found
