@@ -14,7 +14,7 @@ import numpy as np
 
 from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
 from planner.base.distribution import Spread
-from planner.base.errors import InputError, Refusal, nearest_name
+from planner.base.errors import Blocked, InputError, Refusal, nearest_name
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
 from planner.base.progress import Stages
 from planner.base.results import results_folder
@@ -185,14 +185,16 @@ def solve(
             return _planned(strategy, given, dt, stages, shared, over)
 
         try:
-            check_upright(given)
+            if toolpath.beads[0].round:
+                check_upright(given)
             (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
-        except Refusal as refusal:
+        except Refusal as found:
+            refusal = _in_whatever_posture(given, found)
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
             best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
             elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
             refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
-            raise
+            raise refusal from None
         problem, toolpath = given.problem, given.toolpath
         if nearer is not None:
             toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
@@ -232,6 +234,16 @@ def solve(
         nearer=nearer,
     )
     return sealed(with_asked(plan, stages, given.body))
+
+
+def _in_whatever_posture(given: PlanningContext, refusal: Refusal) -> Refusal:
+    """The refusal; of a search that found all blocked, the one that names what an upright nozzle would be in, if it would."""
+    if isinstance(refusal, Blocked) and not given.toolpath.beads[0].round:
+        try:
+            check_upright(given)
+        except Blocked as blocked:
+            return blocked
+    return refusal
 
 
 def with_asked(plan: Plan, stages: Stages, body: PrintBody | None = None) -> Plan:
