@@ -98,18 +98,18 @@ def best_of_all(
     if own is not None and (taken or not _leaves_to_be_desired(own, waypoints, len(given.tasks))):
         return own
     verified = [own] if own is not None and own.verified else []
-    for name, paths in _simpler_paths(given, own, waypoints):
-        try:
+
+    def plan(name: str, paths: Sequence[JointPath]) -> None:
+        with suppress(Refusal):  # of a travel that has no way
             planned = plan_paths(name, paths)
-        except Refusal:  # of a travel that has no way
-            continue
-        if planned.verified:
-            verified.append(planned)
-    if own is not None and own.verified and own.refined_from and own.print_time > LONGER * _soonest(verified):
-        with suppress(Refusal):
-            planned = plan_paths(HELD, _refined_with_held_ends(given, own.refined_from))
             if planned.verified:
                 verified.append(planned)
+
+    for name, paths in _simpler_paths(given, own, waypoints):
+        plan(name, paths)
+    if own is not None and own.verified and own.refined_from and own.print_time > LONGER * _soonest(verified):
+        with suppress(Refusal):
+            plan(HELD, _refined_with_held_ends(given, own.refined_from))
     return _best(verified) if verified else own
 
 

@@ -189,7 +189,7 @@ def solve(
                 check_upright(given)
             (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
         except Refusal as found:
-            refusal = _in_whatever_posture(given, found)
+            refusal = _by_what_stands_there(given, found)
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
             best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
             elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
@@ -236,7 +236,7 @@ def solve(
     return sealed(with_asked(plan, stages, given.body))
 
 
-def _in_whatever_posture(given: PlanningContext, refusal: Refusal) -> Refusal:
+def _by_what_stands_there(given: PlanningContext, refusal: Refusal) -> Refusal:
     """The refusal; of a search that found all blocked, the one that names what an upright nozzle would be in, if it would."""
     if isinstance(refusal, Blocked) and not given.toolpath.beads[0].round:
         try:

@@ -17,8 +17,8 @@ from planner.problem import Problem
 from planner.problem.layers import WaypointLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.task import noise_of
-from planner.toolpath.waypoints.apart import other_height
 from planner.toolpath.waypoints.beads import NOTED
+from planner.toolpath.waypoints.surfels import other_height
 
 MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
 MOST_PLANS = 6  # and in so many plans

@@ -1,4 +1,4 @@
-"""Prints that no posture can lay: where the nozzle's axis is given, what it meets is known before any search.
+"""Prints that no posture can lay: where the nozzle's axis is given, what it meets is known without a search.
 
 A search looks at some places of a path, and sees struts that are as steep as the nozzle just clears pass at these and fail at
 others; and it ends where clearance is lacking first, not where the nozzle is in the plate. Here each bead is followed as

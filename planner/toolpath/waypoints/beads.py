@@ -24,11 +24,10 @@ from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.interpolation import Interpolated, TooRough, interpolate
 from planner.toolpath.plane_paths import check_size, length, make_bead
 from planner.toolpath.task import noise_of, roll_zeros
-from planner.toolpath.waypoints.apart import other_height
 from planner.toolpath.waypoints.normals import UNASKED, calm_normals
 from planner.toolpath.waypoints.reader import WaypointFile, Waypoints, read_waypoints
 from planner.toolpath.waypoints.struts import struts_of
-from planner.toolpath.waypoints.surfels import Surfels, with_layers
+from planner.toolpath.waypoints.surfels import Surfels, other_height, with_layers
 
 MOST_TURN = 90.0  # deg, of the normal from one waypoint to the next: no surface that a nozzle can follow turns further
 STEEPEST = 0.8  # sine of the angle between path and surface; steeper over half its length, it is on no surface

@@ -19,11 +19,18 @@ from planner.toolpath.bead import Bead
 from planner.toolpath.waypoints.nearest import ALWAYS, FAR, PrintedPoints, nearest_printed, printed_points
 
 SHELL = 10e-3  # m of solid beneath a disc
-OTHER_HEIGHT = (0.5, 1.5)  # of a bead's height: what lies nearer or farther beneath a bead is not what it is printed on
+_OTHER_HEIGHT = (0.5, 1.5)  # of a bead's height: it is not printed on what lies nearer or farther beneath it
 _NEIGHBOURS = 8  # that are looked at to see what lies beneath a waypoint
 _STENCIL = 6  # samples through which normals are interpolated
 _ABOVE = 0.9  # of the distance, along the normal: a place of another layer
 _STEPS = 3  # of Newton's method for the nearest place on a bead
+# How far apart layers lie is looked at
+_LOOKED = 300  # samples, at most;
+_BENEATH = (0.1, 3.0)  # widths of a bead beneath them: nearer is their own layer
+_CLEARLY = 0.2  # widths of a bead at least lie between layers: less may be a layer's own slope
+_ASIDE = 0.5  # widths of a bead from straight beneath
+_SHARE = 0.3  # of the samples at least have something beneath them: all but the first of two layers,
+_LIKE, _MOST_UNLIKE = 0.25, 0.3  # as far as usual but for so much of that, and for so many of them
 
 
 @dataclass(frozen=True)
@@ -197,7 +204,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     centres = tips - height[:, None] * normals
     spacing = float(np.median(np.concatenate([np.diff(bead.s) for bead in beads])))
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
-    beneath = _beneath(dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
+    beneath = _beneath(_dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
     layers: list[int] = []
     for i, bead in enumerate(beads):
@@ -225,7 +232,7 @@ def tips_tree(tips: Array) -> PrintedPoints:
     return printed_points(tips, np.full(len(tips), ALWAYS))
 
 
-def dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
+def _dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array, Array, Ints]:
     """Samples and places between them, where they stand farther apart than that [m], as on straight lines: tips and normals
     (m, 3), and the sample (m) with which each place is laid."""
     step = np.linalg.norm(np.diff(tips, axis=0), axis=1)
@@ -241,11 +248,11 @@ def dense(tips: Array, normals: Array, first: Ints, apart: float) -> tuple[Array
 def _beneath(
     laid: tuple[Array, Array, Ints], tips: Array, normals: Array, centres: Array, height: Array, reach: float
 ) -> Ints:
-    """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `dense`.
+    """For each sample (n) an earlier one that is laid about one bead's height beneath it, or -1; laid: see `_dense`.
 
     How far two places are apart in height is measured along the mean of their normals: 0 on any sphere.
     """
-    n, (low, high) = len(tips), OTHER_HEIGHT
+    n, (low, high) = len(tips), _OTHER_HEIGHT
     places, leaning, sample = laid
     tree = cKDTree(places, balanced_tree=False, compact_nodes=False)
     _, near = tree.query(centres, k=min(_NEIGHBOURS, n), workers=-1)
@@ -260,3 +267,36 @@ def _beneath(
         under = (sample[other] < np.arange(n)) & (up > low * height) & (up < high * height) & (aside <= reach)
         found = np.where(under, sample[other], found)
     return found
+
+
+def other_height(beads: Sequence[Bead], height: float) -> float | None:
+    """How far apart layers usually lie [m], if beads of that height [m] do not take them for printed on each other; None where
+    they do, and where layers do not lie apart alike."""
+    apart = _layers_apart(beads)
+    low, high = _OTHER_HEIGHT
+    return apart if apart is not None and not low * height < apart < high * height else None
+
+
+def _layers_apart(beads: Sequence[Bead]) -> float | None:
+    """The usual distance [m], along their normals, of samples from the nearest earlier place that lies beneath them."""
+    tips, normals = (np.vstack([getattr(bead, name) for bead in beads]) for name in ("points", "normals"))
+    first = np.concatenate([[0], np.cumsum([len(bead.points) for bead in beads])])
+    width = max(float(bead.width.max()) for bead in beads)
+    places, leaning, laid = _dense(tips, normals, first, _ASIDE * width)
+    some = np.unique(np.linspace(0, len(tips) - 1, min(len(tips), _LOOKED)).round().astype(np.int64))
+    found = cKDTree(places).query_ball_point(tips[some], _BENEATH[1] * width)
+    own = np.repeat(np.arange(len(some)), [len(each) for each in found])
+    near = np.concatenate([np.asarray(each, dtype=np.int64) for each in found])
+    way, mean = tips[some[own]] - places[near], normals[some[own]] + leaning[near]
+    mean /= np.maximum(np.linalg.norm(mean, axis=1), 1e-9)[:, None]
+    up = (way * mean).sum(axis=1)
+    aside = np.linalg.norm(way - up[:, None] * mean, axis=1)
+    beneath = (laid[near] < some[own]) & (up > _BENEATH[0] * width) & (aside <= _ASIDE * width)
+    least = np.full(len(some), np.inf)
+    np.minimum.at(least, own[beneath], up[beneath])
+    least = least[np.isfinite(least)]
+    if len(least) < _SHARE * len(some):
+        return None
+    usual = float(np.median(least))
+    alike = np.mean(np.abs(least - usual) > _LIKE * usual) <= _MOST_UNLIKE
+    return usual if alike and usual > _CLEARLY * width else None
