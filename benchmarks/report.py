@@ -33,6 +33,7 @@ from benchmarks.summary import (
     SECONDS,
     SIGMA,
     STEP,
+    WHOLE,
     Measure,
     Race,
     Result,
@@ -80,6 +81,7 @@ MATRICES: tuple[tuple[Measure, str], ...] = (
     (SECONDS, "Seconds of the whole run, dips and maps included, without the writing of files."),
     (MEMORY, "Memory, MB."),
 )
+OF_A_LOSS = (AT_SPEED, OVER_IDEAL, WHOLE, SIGMA, MARGIN, STEP)  # what a better measure is paid with, if with anything
 OF_PEERS = (PLANS, PATHS, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
 
 
@@ -222,6 +224,7 @@ def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
     lines += table(("problem", *plans, *joints, *judged), [_against(each, sets) for each in against])
     words = dict.fromkeys((r.label, r.planner) for each in against for r in each.beside if r.label != r.planner)
     lines += ["", *(f"- {label}: {planner}" for label, planner in words if not planner.startswith(OURS))]
+    lines += _where_we_lose(against, sets)
     for each in against:
         all_of_it = sorted((each.ours, *each.beside), key=lambda result: not result.ours)
         rows = [[r.label, "yes" if r.verified else "no", *(cell(r, m) for m in OF_PEERS)] for r in all_of_it]
@@ -229,6 +232,34 @@ def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
         lines += table(("planner", "verified", *(m.name for m in OF_PEERS)), rows)
         why = [f"- {r.label}: {r.reason}" for r in all_of_it if r.reason]
         lines += ["", *why] if why else []
+    return lines
+
+
+def _where_we_lose(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
+    """Where ours is behind: what a peer that is better in one measure has in the others, and what holds rates down."""
+    rows = [
+        [_named(each.ours, sets), f"{measure.name}: {cell(each.ours, measure)} against {cell(peer, measure)}, {peer.label}",
+         *(f"{cell(each.ours, other)}; {cell(peer, other)}" for other in OF_A_LOSS)]
+        for each in against
+        for measure in NOT_WORSE
+        if not each.no_worse.get(measure.name, True)
+        for peer in (each.best[measure.name],)
+    ]  # fmt: skip
+    slow = [
+        [_named(each.ours, sets), f"{each.plans.ratio:.1f}", f"{each.ceiling:.1f}"]
+        for each in against
+        if each.plans is not None and each.ceiling is not None and each.plans.ratio < AIM
+    ]
+    lines = ["", "### Where a peer is ahead", ""] if rows or slow else []
+    if rows:
+        lines += ["Ours first, then the peer that is best at that measure.", ""]
+        lines += table(("problem", "behind in", *(measure.name for measure in OF_A_LOSS)), rows)
+    if slow:
+        lines += [
+            "", f"Plans/s below {AIM:g} times, and what the ratio would be if our joint paths took no time at all: timing, travel "
+            "and verification are the same work on both sides.", "",
+        ]  # fmt: skip
+        lines += table(("problem", "ratio", "with joint paths in no time"), slow)
     return lines
 
 

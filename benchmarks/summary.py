@@ -12,7 +12,8 @@ OURS = "beadwise"
 CHOSEN = "sqp"  # the strategy of ours that is set beside the peers: the default one
 ALONE = "sqp, no bodies"  # the same without collision, as peers plan: it races them where there is such a row
 PATHS_ALONE = ("resolve",)
-COMMON = ("resolve", "timing", "travel", "verify")  # stages of both sides: peers are given cell and toolpath
+ALIKE = ("timing", "travel", "verify")  # our work for both sides
+COMMON = (*PATHS_ALONE, *ALIKE)  # stages of both sides: peers are given cell and toolpath
 DEGREES = 57.29577951308232
 
 
@@ -119,6 +120,7 @@ OFF = Measure("off the path mm", _column("position_error_max_mm"), lambda x: f"{
 RATE = Measure("waypoints/s", _column("waypoints_per_s"), lambda x: f"{x:,.0f}")
 PATHS = Measure("joint paths/s", _per_second(PATHS_ALONE), lambda x: f"{x:,.0f}")
 PLANS = Measure("plans/s", _per_second(COMMON), lambda x: f"{x:,.0f}")
+NO_SEARCH = Measure("plans/s if joint paths took no time", _per_second(ALIKE), lambda x: f"{x:,.0f}")
 SECONDS = Measure("whole run s", _column("seconds_total"), lambda x: f"{x:,.1f}")
 WHOLE = Measure("print s", _column("print_time_s"), lambda x: f"{x:,.1f}")
 RESOLVE = Measure("resolve s", _column("seconds_resolve"), lambda x: f"{x:,.2f}")
@@ -169,14 +171,18 @@ class Versus:
 
     plans      timed and verified, which is our work for peers; None where no peer verifies, or ours does not
     joints     joint paths alone; both without collision on our side too, where that was run
+    ceiling    what the ratio of `plans` would be if our joint paths took no time: the rest is the same work on both sides
     no_worse   measure → whether ours is at least as good as the best of the peers that verify
+    best       measure → that peer
     """
 
     ours: Result
     beside: tuple[Result, ...]
     plans: Race | None
     joints: Race | None
+    ceiling: float | None
     no_worse: dict[str, bool]
+    best: dict[str, Result]
 
 
 NOT_WORSE = (SIGMA, MARGIN, AT_SPEED)  # more is better
@@ -196,13 +202,18 @@ def against_peers(results: Sequence[Result]) -> list[Versus]:
 def _versus(ours: Result, beside: Sequence[Result]) -> Versus:
     good = [peer for peer in beside if not peer.ours and peer.verified]
     racing = next((r for r in beside if r.ours and r.strategy == ALONE), ours)
-    no_worse = {}
+    no_worse, best = {}, {}
     for measure in NOT_WORSE:
-        known = [spread.median for peer in good if (spread := peer.spread(measure)) is not None]
+        known = [(spread.median, peer) for peer in good if (spread := peer.spread(measure)) is not None]
         own = ours.spread(measure)
         if known:
-            no_worse[measure.name] = own is not None and ours.verified and own.median >= max(known) * (1.0 - _AS_GOOD)
-    return Versus(ours, tuple(beside), race(racing, good, PLANS), race(racing, good, PATHS), no_worse)
+            most, peer = max(known, key=lambda each: each[0])
+            best[measure.name] = peer
+            no_worse[measure.name] = own is not None and ours.verified and own.median >= most * (1.0 - _AS_GOOD)
+    plans = race(racing, good, PLANS)
+    own, alike = racing.spread(PLANS), racing.spread(NO_SEARCH)
+    ceiling = plans.ratio * alike.median / own.median if plans and own and alike else None
+    return Versus(ours, tuple(beside), plans, race(racing, good, PATHS), ceiling, no_worse, best)
 
 
 def race(ours: Result, peers: Sequence[Result], measure: Measure) -> Race | None:

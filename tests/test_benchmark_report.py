@@ -80,13 +80,15 @@ def test_ours_is_set_beside_the_fastest_peer_that_verifies() -> None:
     assert cap.joints is not None and cap.joints.ratio == pytest.approx(2.0 / 0.1)
     assert cap.no_worse == {"σ min": True, "limit margin °": True, "at speed": True}
     assert logo.plans is not None and logo.plans.ratio == pytest.approx((0.5 + 10.0) / (0.5 + 1.25))
-    assert logo.no_worse["at speed"] is False
+    assert logo.no_worse["at speed"] is False and logo.best["at speed"].label == "ladder_10"
+    # at best: the peer's 10.5 s beside 1.25 s of verification
+    assert logo.ceiling == pytest.approx((0.5 + 10.0) / 1.25)
 
 
 def test_no_peer_that_verifies_is_no_race() -> None:
     rows = [row for row in table() if row["planner"] != "ladders 1.2, 10°"]
     (cap,) = against_peers(results_of(of_one_commit(rows)[0]))
-    assert cap.plans is None and cap.joints is None and cap.no_worse == {}
+    assert cap.plans is None and cap.joints is None and cap.ceiling is None and cap.no_worse == {} == cap.best
 
 
 def test_a_file_without_rows_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ import webbrowser
 from collections.abc import Awaitable, Callable
 from http.client import HTTPConnection
 from pathlib import Path
+from threading import Timer
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -26,7 +27,7 @@ from planner.base.errors import InputError
 from planner.base.web import server
 from planner.base.web.door import CODE_TIME, MOST_SESSIONS, Door
 from planner.base.web.server import LARGEST_ORDER, News, Server
-from planner.view import command, solver
+from planner.view import child, command, solver
 from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
 from planner.view.machine import Again, Beside, Choose, Drafts, View
@@ -168,20 +169,31 @@ def test_orders_that_are_no_json(body: bytes) -> None:
 # --- the server, with a solver that only says what it is told to ---------------------------------------------
 
 FAKE = """\
-import json, pathlib, sys, time
-job = json.loads(sys.stdin.readline() or "null")
-if job is None:
-    sys.exit()
-text = pathlib.Path(job["problem"]).read_text()
-if "speed_mm_s: 13" in text:
-    sys.exit("a solver's last words")
-print(json.dumps({"stage": "resolve", "draft": ""}), flush=True)
-if "speed_mm_s: 17" in text:
-    time.sleep(60)
-folder = pathlib.Path(job["folder"]) / "whole"
-folder.mkdir(parents=True)
-(folder / "report.html").write_text("report of " + job["strategy"])
-print(json.dumps({"kind": "verified", "words": "verified: 1 check holds", "figures": [["print_time_s", 9.0]], "draft": ""}))
+import json, os, pathlib, sys, time
+def say(**message):
+    print(json.dumps({"job": job["number"], **message}), flush=True)
+for line in sys.stdin:
+    job = json.loads(line)
+    if "cancel" in job:
+        continue
+    text = pathlib.Path(job["problem"]).read_text()
+    if "speed_mm_s: 13" in text:
+        sys.exit("a solver's last words")
+    if "speed_mm_s: 19" in text:
+        say(apart=True)
+    say(stage="resolve", draft="")
+    if "speed_mm_s: 17" in text:
+        time.sleep(60)
+    if "speed_mm_s: 19" in text:
+        sys.stdin.readline()
+        say(stage="what is too late", draft="")
+        continue
+    folder = pathlib.Path(job["folder"]) / "whole"
+    folder.mkdir(parents=True)
+    (folder / "report.html").write_text(f"report of {job['strategy']} by {os.getpid()}")
+    say(kind="verified", words="verified: 1 check holds", figures=[["print_time_s", 9.0]], draft="")
+    if "speed_mm_s: 23" in text:
+        sys.exit()
 """
 
 
@@ -250,7 +262,7 @@ def shown(key: str) -> Callable[[dict[str, Any]], bool]:
 def test_view_from_the_first_solve_to_a_mended_mistake(fake: Path) -> None:
     async def scenario(page: Page) -> None:
         await page.until(shown("1-whole"))
-        assert (await page.get("report/1-whole")).body == b"report of ladder"
+        assert (await page.get("report/1-whole")).body.startswith(b"report of ladder by ")
         save(fake, "speed_mm_s: 40", "speed_mm_s: 50")
         state = await page.until(shown("2-whole"))
         assert state["history"]["rows"][0]["changes"] == ["process.speed_mm_s: 40 → 50"]
@@ -284,6 +296,63 @@ def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capf
 
     visit(Subject(fake, "small"), scenario)
     assert "a solver's last words" in capfd.readouterr().err
+
+
+def test_a_solver_stays_for_the_next_save(fake: Path) -> None:
+    """One that has ended since is replaced, and so is one that is cancelled, but where a copy of it does the work."""
+
+    async def scenario(page: Page) -> None:
+        solvers = []
+        before = "40"
+        for job, speed in enumerate(("40", "50", "23", "51", "17", "52", "19", "53"), 1):
+            save(fake, f"speed_mm_s: {before}", f"speed_mm_s: {speed}")
+            if speed in ("17", "19"):
+                await page.until(lambda state: (state["panes"][0]["running"] or {}).get("stage") == "resolve")
+            else:
+                await page.until(shown(f"{job}-whole"))
+                solvers.append((await page.get(f"report/{job}-whole")).body.split()[-1])
+            before = speed
+        first, second, third, after_its_end, after_its_cancel, after_a_copy = solvers
+        assert first == second == third
+        assert after_its_end != third and after_its_cancel != after_its_end
+        assert after_a_copy == after_its_cancel
+
+    visit(Subject(fake, "small"), scenario)
+
+
+def test_a_copy_of_the_solver_ends_alone(capfd: pytest.CaptureFixture[str]) -> None:
+    copy, begun = child.Copy(), []
+    copy.end()  # there is none
+    assert copy.do(lambda: begun.append(1), lambda: None) and begun == [1]
+    Timer(0.1, copy.end).start()
+    since = time.monotonic()
+    assert copy.do(lambda: None, lambda: time.sleep(60.0)) and time.monotonic() - since < 30.0
+    assert not copy.do(lambda: None, lambda: os.kill(os.getpid(), signal.SIGKILL))
+    assert "exit code -9" in capfd.readouterr().err
+    assert not copy.do(lambda: None, lambda: sys.exit(3))
+
+
+@pytest.mark.slow
+def test_a_large_print_is_solved_by_a_copy_after_its_draft(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(child, "LARGE", 10)
+    said: list[dict[str, Any]] = []
+    copied: list[Callable[[], None]] = []
+
+    class Copy(child.Copy):
+        def do(self, begun: Callable[[], None], work: Callable[[], None]) -> bool:
+            begun()
+            copied.append(work)
+            return True
+
+    path = write_small(tmp_path, ("count: 1", "count: 2"))
+    job = {"problem": str(path), "overrides": [], "strategy": "as_published", "drafts": True, "folder": str(tmp_path)}
+    assert child.run(job, lambda **message: said.append(message), Copy())
+    assert [message["draft"] for message in said if "kind" in message] == ["one layer of 2"]
+    assert said[-1] == {"apart": True} and len(copied) == 1
+    assert (tmp_path / "draft" / "report.html").is_file() and not (tmp_path / "whole").exists()
+    copied[0]()
+    assert [message["draft"] for message in said if "kind" in message] == ["one layer of 2", ""]
+    assert (tmp_path / "whole" / "report.html").is_file()
 
 
 def test_solver_that_cannot_be_started_is_said(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -503,9 +572,9 @@ def test_wrong_arguments(
 # as python -m planner.view, but for small prints, too, that share their work with a second process
 SHARING = """\
 import sys
-from planner.view import command, solver
-child = "import sys, planner.planning.pipeline as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
-solver.CHILD = (sys.executable, "-c", child)
+from planner.view import child, command, solver
+run_child = "import sys, planner.planning.pipeline as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
+solver.CHILD = (sys.executable, "-c", run_child)
 sys.exit(command.main())
 """
 

@@ -53,7 +53,11 @@ def bodies_surface(bodies: Sequence[Body], colour: str = PLAIN) -> TriangleSurfa
 
 
 def _mesh_surface(look: Look) -> TriangleSurface:
-    vertices, triangles, colours = _mesh(look.file)
+    try:
+        changed = look.file.stat().st_mtime_ns
+    except OSError as error:
+        raise ValueError(f"{look.file.name} cannot be read") from error
+    vertices, triangles, colours = _mesh(look.file, changed)
     if look.colour:
         colours = np.tile(rgb(look.colour), (len(triangles), 1))
     vertices = vertices * np.array(look.scale)
@@ -67,8 +71,11 @@ def _mesh_surface(look: Look) -> TriangleSurface:
 
 
 @cache
-def _mesh(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
-    """Vertices [units of the file], triangles and their colours. Raises ValueError for a file that cannot be read."""
+def _mesh(path: Path, changed: int) -> tuple[Array, Ints, NDArray[np.uint8]]:
+    """Vertices [units of the file], triangles and their colours, as they were when the file was last changed [ns].
+
+    Raises ValueError for a file that cannot be read.
+    """
     if path.suffix.lower() == ".dae":
         try:
             return read_collada(path)

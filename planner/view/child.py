@@ -1,23 +1,29 @@
-"""The process that solves for the live view: one job as a line of JSON on stdin, what happens as lines of JSON on stdout.
+"""The process that solves for the live view: jobs as lines of JSON on stdin, what happens as lines of JSON on stdout.
 
-It is started before there is anything to solve, since importing takes longer than a small solve. When stdin closes,
-the view has ended: so does this process, with all that it started.
+It is started before there is anything to solve, since importing takes longer than a small solve, and stays: the next draft
+or small print finds its kernels loaded. A large print is solved by a copy of this process, which can be cancelled alone.
+When stdin closes, the view has ended: so does this process, with all that it started.
 """
 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
+from functools import partial
+from multiprocessing.context import ForkProcess
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
-from planner.base.errors import PlannerError, Refusal
+from planner.base.errors import InputError, PlannerError, Refusal
 from planner.base.progress import Stages
+from planner.base.signals import end_with_parent
 from planner.planning.pipeline import solve
 from planner.planning.solve_command import report_refusal
 from planner.problem import Problem, load_problem
@@ -27,53 +33,111 @@ from planner.toolpath.build import build_toolpath
 from planner.view.content import mistake_of
 from planner.view.machine import figures_of
 
-DRAFT_FROM = 3_000  # waypoints from which a draft of one layer comes first: below, the whole takes but some seconds
+LARGE = 3_000  # waypoints from which a print has a draft of one layer first: below, the whole takes but some seconds
 # Read past sys.stdin: a thread that waits in it holds its lock, and a forked worker, which closes it, would wait for ever.
 STDIN, LONGEST_PIECE = 0, 4096
 BEHIND = 10  # of priorities that the whole print is solved with, after its draft
+FORKS = sys.platform == "linux"  # elsewhere a process with threads is not safely copied
 Say = Callable[..., None]
+Job = dict[str, Any]
 
 
 def main() -> int:
-    """Wait for a job, do it, and tell."""
-    line = _first_line()
-    if not line.strip():
-        return 0
-    threading.Thread(target=_end_with_the_view, daemon=True).start()
+    """Do one job after the other, and tell."""
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no message
+    jobs: SimpleQueue[Job] = SimpleQueue()
+    copy = Copy()
+    threading.Thread(target=_listen, args=(jobs, copy), daemon=True).start()
 
-    def say(**message: Any) -> None:
-        out.write(json.dumps(message) + "\n")
+    def say(number: int, **message: Any) -> None:
+        out.write(json.dumps({"job": number, **message}) + "\n")
         out.flush()
 
-    run(json.loads(line), say)
-    return 0
+    while True:
+        job = jobs.get()
+        if not run(job, partial(say, job["number"]), copy):
+            return 1
 
 
-def run(job: dict[str, Any], say: Say) -> None:
-    """Solve one job: {problem, overrides, strategy, drafts, folder}; reports go into folder/draft and folder/whole."""
+class Copy:
+    """A copy of this process that does part of a job, if one does; another thread may end it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: ForkProcess | None = None
+        self._ended = False
+
+    def do(self, begun: Callable[[], None], work: Callable[[], None]) -> bool:
+        """Call `begun` here and `work` in a copy, and wait for it; False where it ended by itself, its work undone."""
+        process = multiprocessing.get_context("fork").Process(target=_copied, args=(os.getpid(), work))
+        with self._lock:  # so that whoever has been told that it is begun can end it
+            begun()
+            process.start()
+            self._process, self._ended = process, False
+        process.join()
+        with self._lock:
+            self._process = None
+            if self._ended or process.exitcode == 0:
+                return True
+        print(f"the process that solved ended with exit code {process.exitcode}", file=sys.stderr)
+        return False
+
+    def end(self) -> None:
+        """End the copy, if there is one."""
+        with self._lock:
+            if self._process is not None:
+                self._process.kill()
+                self._ended = True
+
+
+def _copied(parent: int, work: Callable[[], None]) -> None:
+    end_with_parent(parent)
+    work()
+
+
+def run(job: Job, say: Say, copy: Copy) -> bool:
+    """Solve one job: {number, problem, overrides, strategy, drafts, folder}; reports go into folder/draft and folder/whole.
+
+    False where a copy of this process ended before it was done.
+    """
     try:
-        overrides: Sequence[str] = job["overrides"]
-        problem, folder = load_problem(job["problem"], overrides), Path(job["folder"])
-        draft = _draft_words(problem) if job["drafts"] else ""
-        if draft:
-            one = load_problem(job["problem"], [*overrides, "layers.count=1"])
-            _solve(one, job["strategy"], folder / "draft", draft, say)
-            os.nice(BEHIND)  # the browser draws the draft meanwhile
-        _solve(problem, job["strategy"], folder / "whole", "", say)
+        problem, folder = load_problem(job["problem"], job["overrides"]), Path(job["folder"])
+        layers = getattr(problem.layers, "count", 1)
+        first = _first_layer(job) if layers > 1 else None
+        large = _waypoints(problem if first is None else first) * (1 if first is None else layers) >= LARGE
+        drafted = first is not None and large and job["drafts"]
+        if first is not None and drafted:
+            _solve(first, job["strategy"], folder / "draft", f"one layer of {layers}", say)
     except PlannerError as error:
         say(mistake=asdict(mistake_of(error)))
+        return True
+    whole = partial(_whole, problem, job["strategy"], folder / "whole", say)
+    if large and FORKS:
+        return copy.do(partial(say, apart=True), partial(whole, BEHIND if drafted else 0))
+    whole(0)
+    return True
 
 
-def _draft_words(problem: Problem) -> str:
-    """What a draft of one layer is called; empty where the whole is small, or does not count its layers."""
-    count = getattr(problem.layers, "count", 1)
-    if count < 2:
-        return ""
-    toolpath = build_toolpath(problem)
-    waypoints = sum(len(bead.s) for bead in toolpath.beads)
-    return f"one layer of {count}" if waypoints >= DRAFT_FROM else ""
+def _first_layer(job: Job) -> Problem | None:
+    """The problem with its first layer alone; None where that is none."""
+    try:
+        return load_problem(job["problem"], [*job["overrides"], "layers.count=1"])
+    except InputError:
+        return None
+
+
+def _waypoints(problem: Problem) -> int:
+    return sum(len(bead.s) for bead in build_toolpath(problem).beads)
+
+
+def _whole(problem: Problem, strategy: str, folder: Path, say: Say, behind: int) -> None:
+    """Solve the whole print, some priorities behind: the browser draws the draft meanwhile."""
+    os.nice(behind)
+    try:
+        _solve(problem, strategy, folder, "", say)
+    except PlannerError as error:
+        say(mistake=asdict(mistake_of(error)))
 
 
 def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) -> None:
@@ -96,17 +160,23 @@ def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) 
     say(kind=kind, words=f"{words}; {size}", figures=figures_of(plan.metrics), draft=draft)
 
 
-def _first_line() -> bytes:
-    line = b""
-    while not line.endswith(b"\n") and (piece := os.read(STDIN, LONGEST_PIECE)):
-        line += piece
-    return line
-
-
-def _end_with_the_view() -> None:
-    while os.read(STDIN, LONGEST_PIECE):
-        pass
+def _listen(jobs: SimpleQueue[Job], copy: Copy) -> None:
+    """Take orders: a job, or to cancel the one that a copy does."""
+    for line in _lines():
+        order = json.loads(line)
+        if "cancel" in order:
+            copy.end()
+        else:
+            jobs.put(order)
     os.killpg(os.getpgid(0), signal.SIGKILL)  # the session that was made for this process, workers included
+
+
+def _lines() -> Iterator[bytes]:
+    """Lines of stdin, until it closes."""
+    kept = b""
+    while piece := os.read(STDIN, LONGEST_PIECE):
+        *lines, kept = (kept + piece).split(b"\n")
+        yield from lines
 
 
 if __name__ == "__main__":

@@ -17,50 +17,70 @@ from typing import Any
 from planner.view.content import Mistake
 from planner.view.machine import Broke, Event, ReportReady, SolveJob, SolveOutcome, Staged
 
-SPARE_TIME = 3.0  # s into a solve after which the next process gets ready, so that it does not hold up a short one
+SPARE_TIME = 10.0  # s after a solve at which another process gets ready: until then the browser draws
 LONGEST_LINE = 1_000_000  # bytes of a message
 LAST_WORDS = 4_000  # characters of what a process says on stderr that are kept
 CHILD = (sys.executable, "-m", "planner.view.child")
+CANCEL = b'{"cancel": true}\n'
 ENDED_EARLY = "the solver ended before its time"
 
 
 class Solver:
-    """Starts and ends processes for jobs. Use it in one event loop; `close` leaves no process behind."""
+    """Has jobs done, one at a time. Use it in one event loop; `close` leaves no process behind.
+
+    The process of the last job does the next one, with its kernels loaded. It is ended only where a job is cancelled that
+    it does itself; a spare one, which has imported all it needs, takes its place.
+    """
 
     def __init__(self, problem: Path, overrides: Sequence[str], folder: Path, take: Callable[[Event], None]) -> None:
         self._problem, self._overrides, self._folder, self._take = problem, list(overrides), folder, take
         self._spare: asyncio.Task[Process] | None = None
-        self._listening: asyncio.Task[None] | None = None
-        self._process: Process | None = None
         self._later: asyncio.TimerHandle | None = None
+        self._process: Process | None = None  # which does the job, or did the last one
+        self._words: asyncio.Task[str] | None = None  # what it says on stderr
+        self._apart = False  # the job is done by a copy of it
+        self._listening: asyncio.Task[None] | None = None
         self._ending: list[asyncio.Task[None]] = []
 
     def warm_up(self) -> None:
         """Have a process ready, for the next job."""
-        if self._later is not None:
-            self._later.cancel()
-            self._later = None
+        self._not_later()
         if self._spare is None:
             self._spare = asyncio.create_task(_new_process())
 
     def start(self, job: SolveJob) -> None:
         """Begin a job; none may run."""
+        self._not_later()
+        self._apart = False
         self._listening = asyncio.create_task(self._run(job))
 
     def cancel(self) -> None:
         """End the job that runs, if any, with all its processes; nothing that it said since is told."""
+        if self._process is not None and self._process.stdin is not None and self._apart:
+            self._listen_no_more()
+            with suppress(BrokenPipeError, ConnectionResetError):  # it has ended by itself
+                self._process.stdin.write(CANCEL)
+            return
         self._stop()
         self.warm_up()
 
-    def _stop(self) -> None:
-        if self._later is not None:
-            self._later.cancel()
+    def _listen_no_more(self) -> None:
         if self._listening is not None:
             self._listening.cancel()
+        self._listening = None
+
+    def _stop(self) -> None:
+        self._not_later()
+        self._listen_no_more()
         if self._process is not None:
             self._ending.append(asyncio.create_task(_end(self._process)))
-        self._listening = self._process = self._later = None
+        self._process = None
         self._ending = [task for task in self._ending if not task.done()]
+
+    def _not_later(self) -> None:
+        if self._later is not None:
+            self._later.cancel()
+        self._later = None
 
     def check(self) -> None:
         """Raise what went wrong while a process was listened to: a defect, not a user's mistake."""
@@ -77,42 +97,71 @@ class Solver:
         await asyncio.gather(*self._ending)
 
     async def _run(self, job: SolveJob) -> None:
-        self.warm_up()
-        spare = self._spare
-        if spare is None:
+        if self._process is not None and await self._done(job, self._process):
             return
+        process = await self._fresh(job)
+        if process is not None and not await self._done(job, process):
+            await self._lost(job, process)
+
+    async def _fresh(self, job: SolveJob) -> Process | None:
+        """The spare process, once it is there; None where none can be started, which is told."""
+        self.warm_up()
+        if self._spare is None:
+            return None
         try:
-            process = await asyncio.shield(spare)
+            process = await asyncio.shield(self._spare)
         except OSError as error:
             self._spare = None
             self._take(Broke(job.number, Mistake(f"no solver can be started: {error.strerror}")))
-            return
+            return None
+        if process.stderr is None:
+            raise RuntimeError("a solver has no pipes")
         self._spare, self._process = None, process
-        self._later = asyncio.get_running_loop().call_later(SPARE_TIME, self.warm_up)
+        self._words = asyncio.create_task(_tail(process.stderr))
+        return process
+
+    async def _done(self, job: SolveJob, process: Process) -> bool:
+        """Have a process do a job, and tell what it says; False where it had ended and never heard of it."""
         order = {
+            "number": job.number,
             "problem": str(self._problem),
             "overrides": self._overrides,
             "strategy": job.strategy,
             "drafts": job.drafts,
             "folder": str(self._folder / str(job.number)),
         }
-        if process.stdin is None or process.stdout is None or process.stderr is None:
+        if process.stdin is None or process.stdout is None:
             raise RuntimeError("a solver has no pipes")
         with suppress(BrokenPipeError, ConnectionResetError):  # it has ended: its last words tell why
             process.stdin.write(json.dumps(order).encode() + b"\n")
             await process.stdin.drain()
-        last_words = asyncio.create_task(_tail(process.stderr))
-        told = False
+        heard = False
         while line := await process.stdout.readline():
-            event = event_of(job, json.loads(line), f"{datetime.now():%H:%M:%S}")
-            told = told or isinstance(event, Broke) or (isinstance(event, ReportReady) and not event.outcome.draft)
-            self._take(event)
-        code, words = await process.wait(), await last_words
-        self.warm_up()
-        if not told:
-            hint = words.strip().splitlines()[-1] if words.strip() else f"exit code {code}"
-            sys.stderr.write(words)
-            self._take(Broke(job.number, Mistake(ENDED_EARLY, hint=hint)))
+            message = json.loads(line)
+            if message["job"] != job.number:
+                continue  # of one that was cancelled
+            heard = True
+            if "apart" in message:
+                self._apart = True
+                continue
+            event = event_of(job, message, f"{datetime.now():%H:%M:%S}")
+            last = isinstance(event, Broke) or (isinstance(event, ReportReady) and not event.outcome.draft)
+            if last:
+                self._later = asyncio.get_running_loop().call_later(SPARE_TIME, self.warm_up)
+            self._take(event)  # which may start the next job
+            if last:
+                return True
+        if heard:
+            await self._lost(job, process)
+        return heard
+
+    async def _lost(self, job: SolveJob, process: Process) -> None:
+        """Tell that a process ended before its job was done."""
+        code, words = await process.wait(), "" if self._words is None else await self._words
+        self._process = None
+        hint = words.strip().splitlines()[-1] if words.strip() else f"exit code {code}"
+        sys.stderr.write(words)
+        self._take(Broke(job.number, Mistake(ENDED_EARLY, hint=hint)))
 
 
 def event_of(job: SolveJob, message: dict[str, Any], at: str) -> Event:
