@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import re
 from collections.abc import Callable, Sequence
 from concurrent import futures
 from pathlib import Path
@@ -58,6 +59,11 @@ def main_of(name: str) -> Callable[[Sequence[str]], int]:
 def test_there_are_commands() -> None:
     assert len(commands()) > 30
     assert set(SMALLEST) <= set(commands())
+
+
+def test_the_page_on_how_to_reproduce_names_every_command() -> None:
+    page = (ROOT / "docs" / "citing.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"`benchmarks\.([a-z_]+)", page)) == {name.split(".")[0] for name in commands()}
 
 
 @pytest.mark.slow(cases=("cluster",))
