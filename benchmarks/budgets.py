@@ -36,7 +36,7 @@ from planner.toolpath.workload import Workload
 QUICK_S, QUICK_MB = 20.0, 1500.0  # of a check
 LOOK = 0.2  # s between two looks at memory, at least
 SELDOM = 30.0  # of the time that a look takes: the kernel counts the pages of large processes for long
-RUNS = ROOT / "benchmarks" / "results" / "2026-11-22"
+RESULTS = ROOT / "benchmarks" / "results"  # a folder a day
 SPEED = 0.04  # m/s, of all committed runs of the model
 
 CELL = """\
@@ -340,7 +340,8 @@ def run(case: Case, limit: float) -> Outcome:
 def committed() -> Iterator[tuple[str, float, float, float, float]]:
     """Of the committed runs of the default strategy: problem, seconds taken and expected, memory taken and expected [MB]."""
     for name in ("runs.csv", "scaling.csv"):
-        with (RUNS / name).open(encoding="utf-8") as stream:
+        newest = max(RESULTS.glob(f"*/{name}"))
+        with newest.open(encoding="utf-8") as stream:
             rows = [row for row in csv.DictReader(stream) if row["strategy"] == "sqp" and row["peak_mb"]]
         for row in rows:
             if row["planner"].startswith("beadwise") and row["print_time_s"]:

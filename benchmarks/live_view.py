@@ -2,8 +2,9 @@
 
 python -m benchmarks.live_view hemisphere_honeycomb
 
-The problem's speed is edited in a copy of its files, several times; told are the median and the longest time until the
-new report's scene is drawn in a headless browser, which draws by the processor alone, on the same cores that solve.
+The problem's speed is edited in a copy of its files, several times, some seconds after the last report was drawn, as by
+somebody who looks at it; told are the median and the longest time until the new report's scene is drawn in a headless
+browser, which draws by the processor alone, on the same cores that solve.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ SPEEDS = (40.0, 39.0, 38.0, 37.0, 36.0)  # mm/s, one after the other
 SIZE = {"width": 1366, "height": 900}
 PATIENCE = 600.0  # s for one solve
 LOOK = 0.1  # s between looks, which take time from the solver
+PAUSE = 10.0  # s before each save: so long the browser is at work after it has shown the whole print
 SHOWN = """() => {
   const frame = document.querySelector("iframe:not(.coming)");
   const draft = document.querySelector(".draft");
@@ -66,6 +68,7 @@ def _times(page: Page, file: Path, before: float, speed: float) -> tuple[float, 
     changed = re.sub(rf"(?m)^  speed_mm_s: {before:g}\b", f"  speed_mm_s: {speed:g}", text)
     if changed == text:
         raise ValueError(f"{file.name} has no line speed_mm_s: {before:g}")
+    time.sleep(PAUSE)
     file.write_text(changed, encoding="utf-8")
     saved = time.monotonic()
     first = _drawn(page, shown, whole=False) - saved

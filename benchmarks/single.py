@@ -43,6 +43,13 @@ def warm_up(problem: Problem, strategy: str) -> None:
     """Have all kernels loaded that the problem needs; what cannot be planned of it is told when it is measured."""
     with suppress(PlannerError):
         try_out(problem, _short(build_toolpath(problem)), strategy)
+    for name, module in list(sys.modules.items()):
+        if name.startswith(
+            "planner.verify"
+        ):  # which remembers the files that it has read, one of them for half a minute
+            for each in vars(module).values():
+                if hasattr(each, "cache_clear"):
+                    each.cache_clear()
 
 
 def _short(toolpath: Toolpath) -> Toolpath:

@@ -13,7 +13,7 @@ from solved import small_plan, small_problem, write_small
 
 from benchmarks.advice import WITHIN, applied
 from planner.plan import Plan
-from planner.planning.advice import LEAST, changes, recorded, worst_beads
+from planner.planning.advice import LEAST, below_speed, changes, recorded, worst_beads
 from planner.planning.pipeline import solve
 from planner.report.places import SLOWEST_ADVISED, followable
 
@@ -52,6 +52,13 @@ def test_beads_with_most_slow_length_come_first_as_far_as_they_are_cheap() -> No
     paths = [replace(path, q=np.zeros((n, 7))) for n in sizes]
     assert worst_beads(paths, {0: 0.01, 1: 0.05, 2: 0.02, 3: 0.03}) == [2, 3]
     assert worst_beads(paths, {0: 0.0}) == []
+
+
+def test_lengths_below_speed_are_those_of_each_bead() -> None:
+    plan = small_plan()
+    each = [recorded(plan.trajectory, plan.commanded, [bead]).slow for bead in range(len(plan.beads))]
+    np.testing.assert_allclose(below_speed(plan.trajectory, plan.commanded), each, rtol=0, atol=1e-12)
+    assert max(each) > 0.0
 
 
 def test_length_and_time_are_those_of_the_print() -> None:

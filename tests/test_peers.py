@@ -39,7 +39,7 @@ def beads(cap: PlanningContext) -> list[np.ndarray]:
 
 @pytest.mark.parametrize("name", ["peer_cap", "peer_cylinder"])
 def test_a_written_cell_is_the_planners_own(name: str, tmp_path: Path) -> None:
-    ready = given(Case(name, LINES, layers=1), tmp_path)
+    ready = given(Case(name, LINES), tmp_path)
     write_case(ready, tmp_path)
     model = pin.buildModelFromUrdf(str(tmp_path / ROBOT))
     data = model.createData()

@@ -31,18 +31,12 @@ COLUMNS = "bead,x,y,z,axis_x,axis_y,axis_z,roll_x,roll_y,roll_z"
 class Case:
     """A problem that ships, or one of the two measured ones at a number of waypoints.
 
-    settings: of the problem file; layers: only so many of the first ones, where the file has no setting for that
+    settings: of the problem file
     """
 
     name: str
     waypoints: int | None = None
     settings: tuple[str, ...] = ()
-    layers: int | None = None
-
-    @property
-    def told(self) -> tuple[str, ...]:
-        """What a table of runs says of it beside its name: a part of a problem is not the problem."""
-        return self.settings if self.layers is None else (*self.settings, f"layers 1 to {self.layers}")
 
     @property
     def key(self) -> str:
@@ -58,7 +52,7 @@ CASES = {
         Case("curved_plate"),
         Case("hemisphere_honeycomb", settings=ONE_LAYER),
         Case("cylinder_logo", settings=ONE_LAYER),
-        Case("naca0015_wing", layers=1),
+        Case("naca0015_wing", settings=ONE_LAYER),
     )
 }
 
@@ -75,8 +69,6 @@ def given(case: Case, folder: Path) -> PlanningContext:
     problem = problem_of(case, folder)
     toolpath = build_toolpath(problem)
     cell = build_cell(problem).at(toolpath.beads[0].material)
-    if case.layers is not None:
-        toolpath = replace(toolpath, beads=tuple(bead for bead in toolpath.beads if bead.layer < case.layers))
     return context_of(problem, cell, toolpath)
 
 

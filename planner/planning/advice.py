@@ -78,8 +78,8 @@ def advise(
     """
     commanded = np.array([path.task.speed for path in paths])
     whole = recorded(trajectory, commanded, range(len(paths)))
-    slow = {bead: recorded(trajectory, commanded, [bead]).slow for bead in sorted({dip.bead for dip in dips})}
-    worst = worst_beads(paths, slow)
+    below = below_speed(trajectory, commanded)
+    worst = worst_beads(paths, {bead: float(below[bead]) for bead in sorted({dip.bead for dip in dips})})
     if not worst:
         return ()
     now = recorded(trajectory, commanded, worst)
@@ -119,6 +119,15 @@ def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> 
     speed = t.speed[own]
     fast = speed >= (1.0 - SPEED_TOLERANCE) * commanded[t.bead[own]]
     return SpeedTotals(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
+
+
+def below_speed(trajectory: Trajectory, commanded: Array) -> Array:
+    """Length (beads) of each bead that is laid below its commanded speed [m/s], as a trajectory has it [m]."""
+    t = trajectory
+    own = t.deposit & (t.bead >= 0)
+    bead, speed = t.bead[own], t.speed[own]
+    slow = speed < (1.0 - SPEED_TOLERANCE) * commanded[bead]
+    return np.bincount(bead[slow], speed[slow], minlength=len(commanded)) * t.dt
 
 
 def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[int]:

@@ -16,7 +16,7 @@ from planner.planning.context import PlanningContext
 from planner.problem import Problem
 from planner.resolve.drawn import passable
 from planner.resolve.infeasible import NEARER
-from planner.resolve.ladder import ladder
+from planner.resolve.ladder import ladder, may_be_found
 from planner.verify.verdict import Report
 
 NOZZLE_CHECK = "nozzle clear of part and print"
@@ -59,15 +59,11 @@ def coming_nearer(
             if not leads_on(given, refusal, last):  # which takes a hundredth of a search's time
                 return
 
-    def keeping(kept: float) -> PlanningContext | None:
-        nearer = _keeping(given, kept)
-        return _with_way(nearer, stages) if in_one_go else nearer
-
-    nearest = keeping(last)
-    if nearest is None:
+    if in_one_go and not _may_be_found(_keeping(given, last), stages):
         return
     for kept in (each for each in NEARER if each < usual):
-        nearer = nearest if kept == last else keeping(kept)
+        there = _keeping(given, kept)
+        nearer = _with_way(there, stages) if in_one_go else there
         if nearer is not None:
             yield Nearer(kept, usual, because), nearer
 
@@ -77,6 +73,11 @@ def _keeping(given: PlanningContext, kept: float) -> PlanningContext:
     spec = given.problem.collision.model_copy(update={"nozzle": kept})
     problem = given.problem.model_copy(update={"collision": spec})
     return replace(given, problem=problem, obstacles=obstacles_of(problem, given.cell, given.toolpath, given.body))
+
+
+def _may_be_found(given: PlanningContext, stages: Stages) -> bool:
+    with stages.stage("resolve"):
+        return may_be_found(given.cell, given.tasks, given.problem.resolve, given.obstacles)
 
 
 def _with_way(given: PlanningContext, stages: Stages) -> PlanningContext | None:

@@ -500,6 +500,8 @@ def _paths_of(
     """Paths of all beads by one strategy, and those that they were refined from, where these are known."""
     cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
     with stages.stage("resolve"):
+        if strategy == "ladder" and given.start:
+            return given.start, ()
         if strategy != DEFAULT:
             return STRATEGIES[strategy](cell, tasks, settings, obstacles), ()
         if over is not None:

@@ -49,7 +49,10 @@ def passable(cell: Cell, tasks: Sequence[NozzleTask], refusal: Refusal, obstacle
 
     What is refused on a grid may pass on another one at the place where that ended, and still have no way elsewhere.
     """
-    around = {task.material: (own := cell.at(task.material), obstacles.for_nozzle(cell, own)) for task in tasks}
+    around = {
+        material: (own := cell.at(material), obstacles.for_nozzle(cell, own))
+        for material in {task.material for task in tasks}
+    }
 
     def passed(task: NozzleTask, i: int) -> bool:
         own, there = around[task.material]

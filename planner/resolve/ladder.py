@@ -13,7 +13,7 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
-from planner.resolve.by_nozzle import with_each_nozzle
+from planner.resolve.by_nozzle import nozzles_of, with_each_nozzle
 from planner.resolve.infeasible import refuse_collision, refuse_rung
 from planner.resolve.joint_path import (
     MARGIN,
@@ -364,6 +364,18 @@ def _routes(
         yield LadderRoute(demand, dense.nodes, dense.wound)  # whose paths are refused with the joint's name
     elif not any_route:
         refuse_rung(cell, tasks, demand, dense.nodes, stuck, settings.min_sigma, obstacles)
+
+
+def may_be_found(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles) -> bool:
+    """Whether the coarse search that guides `ladder` finds a way: where it finds none, nor does that, which takes several
+    times as long."""
+    try:
+        for own, which in nozzles_of(cell, tasks):
+            guides = first_of_each_name([tasks[i] for i in which])
+            guide_route(own, guides, settings, obstacles.for_nozzle(cell, own), len(guides) / len(which))
+    except Refusal:
+        return False
+    return True
 
 
 def guide_route(

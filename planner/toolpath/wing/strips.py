@@ -399,8 +399,9 @@ class Filling:
 
 def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
-) -> list[Bead]:
-    """Fills a strip between two y [m], in passes along its curve or along the span: one bead, or one for each pass.
+) -> tuple[list[Callable[[], Bead]], Array]:
+    """What fills a strip between two y [m], in passes along its curve or along the span: what makes its bead, or one for each
+    pass, and the point (3) at which the last one ends.
 
     They stay half a pass inside the edges. Of the four corners the first begins at the one nearest to `start` (3), if given.
     The tip curve is a plane when rolled out, so turns are rounded there and all samples lie on the true curve.
@@ -421,10 +422,12 @@ def fill_strip(
 
     width, ends = pitch / filling.spacing, filling.run_in / PER_RUN
     lift = partial(_in_space, strip, span)
-    return [
-        rolled_bead(each, layer, line, lift, filling.tolerance, APART * pitch, ends, width, filling.height)
-        for each, line in filling.lines(list(plane), name)
+    lines = filling.lines(list(plane), name)
+    tolerance, apart, height = filling.tolerance, APART * pitch, filling.height
+    beads = [
+        partial(rolled_bead, each, layer, line, lift, tolerance, apart, ends, width, height) for each, line in lines
     ]
+    return beads, lift(lines[-1][1][-1:])[0][0]
 
 
 def rolled_bead(

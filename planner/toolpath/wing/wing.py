@@ -7,12 +7,13 @@ tip curves are the section's own spline, offset. One whose section changes, or i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.processes import of_each
 from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -283,19 +284,19 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     else:
         check_support(problem, spec, spec.support, floor)
         jobs = _support(section, spec, spec.support, shortest, solid) + jobs
-    beads: list[Bead] = []
+    made: list[tuple[Callable[[], Bead], str]] = []
     laid: list[int] = []
     strips, levels = ground, [-1] * len(ground)
+    start = None
     for layer, job in enumerate(jobs[: spec.count]):
-        start = beads[-1].points[-1] if beads else None
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
-            start = beads[-1].points[-1] if beads else None
-            new = fill_strip(piece, job.along, span, job.filling, name, layer, start)
-            beads += [replace(bead, material=job.material) for bead in new]
+            new, start = fill_strip(piece, job.along, span, job.filling, name, layer, start)
+            made += [(bead, job.material) for bead in new]
             laid += [len(strips)] * len(new)
             strips.append(piece)
             levels.append(layer)
+    beads = of_each(lambda each: replace(each[0](), material=each[1]), made)
     return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), tuple(laid), span, 0, {}))
 
 

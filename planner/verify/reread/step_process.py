@@ -16,6 +16,7 @@ from OCP.BRepMesh import BRepMesh_IncrementalMesh
 from OCP.gp import gp_Pnt, gp_Pnt2d
 from OCP.IFSelect import IFSelect_ReturnStatus
 from OCP.IGESControl import IGESControl_Reader
+from OCP.IMeshTools import IMeshTools_Parameters
 from OCP.Message import Message
 from OCP.ShapeAnalysis import ShapeAnalysis_Surface
 from OCP.Standard import Standard_Failure
@@ -31,7 +32,8 @@ from planner.base.isolated import answer
 _ANGLE = 0.05  # rad between triangles
 _SMALLEST = 1e-12  # mm^2 per parameter: where surfaces have no normal, as at poles
 _NEAR = 1e-6  # mm
-_CUTS = 3  # of a triangle, at most: a surface with an edge of its own would be cut without end
+_COARSE = 16.0  # times as far off as is allowed are triangles within a face first: the mesher takes long for small ones
+_CUTS = 5  # of a triangle, at most: a surface with an edge of its own would be cut without end; two of them for _COARSE
 _WHEREVER = -1  # an entity is found by its shape, wherever an assembly puts that
 
 
@@ -65,7 +67,7 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     sure: list[bool] = []
     for face in chosen:
-        BRepMesh_IncrementalMesh(face, request["off_mm"], False, _ANGLE, False)
+        BRepMesh_IncrementalMesh(face, _coarsely(request["off_mm"]))
         k = len(sure)
         meshed = _meshed(face, request["off_mm"], request["turned"])
         if meshed is None:
@@ -73,6 +75,14 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
         out |= {f"{k}.{name}": values for name, values in meshed.items()}
         sure.append(any(face.IsSame(other) for other in inside))
     return out | {"faces": len(sure), "sure": np.array(sure, dtype=bool)}
+
+
+def _coarsely(off: float) -> IMeshTools_Parameters:
+    """What the mesher is asked for, where triangles may leave a face by `off` [mm]: all of it at edges, less within."""
+    wanted = IMeshTools_Parameters()
+    wanted.Deflection, wanted.DeflectionInterior = off, _COARSE * off
+    wanted.Angle = wanted.AngleInterior = _ANGLE
+    return wanted
 
 
 def _faces(shape: Any, of: Any = None) -> list[Any]:
@@ -113,9 +123,9 @@ def _meshed(face: Any, off: float, turned: float) -> dict[str, Array | Ints] | N
     """Corners of triangles: points (n, 3) [mm], normals (n, 3) out of the face and bends (n, 2) [1/mm], both NaN at poles; and
     triangles, corners (m, 3). None for no mesh.
 
-    The mesher sees no bend where a surface turns back, as at the middle of an S; so triangles are cut in four where the face
-    halfway along a side is more than `off` [mm] from it, or its normal more than `turned` [rad] from what lies between those
-    of the ends.
+    The mesher makes a coarse mesh, and sees no bend where a surface turns back, as at the middle of an S; so triangles are
+    cut in four where the face halfway along a side is more than `off` [mm] from it, or its normal more than `turned` [rad]
+    from what lies between those of the ends.
     """
     place = TopLoc_Location()
     mesh = BRep_Tool.Triangulation_s(face, place)
