@@ -136,7 +136,7 @@ def _case(
             write_case(ready, own)
             row = one_peer(name, key, ready, options.python, own, limits)
         strategy = STRATEGIES.get(name, name)
-        run = Run(key, strategy, CASES[key].told, planner=str(row.pop("planner")))
+        run = Run(key, strategy, CASES[key].settings, planner=str(row.pop("planner")))
         extra = {column: row.pop(column, "") for column in (*PATH_COLUMNS, "said")}
         whole = make_row(run, **{column: value for column, value in row.items() if column in COLUMNS})
         append_row(options.out / results.ROWS_FILE, whole)

@@ -43,7 +43,7 @@ def main() -> int:
         row = judged_file(ready, folder)
     else:
         before = cpu_seconds()
-        row = ours.planned(ready, collision, cut=case.layers is not None)
+        row = ours.planned(ready, collision)
         row |= {"cpu_s": cpu_seconds() - before, "peak_mb": peak_mb()}
     (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
     return 0

@@ -28,17 +28,13 @@ def warm(ready: PlanningContext, collision: bool = False) -> None:
         planned(given(Case(alike, SMALL), Path(folder)), collision)
 
 
-def planned(ready: PlanningContext, collision: bool, cut: bool = False) -> Row:
-    """A row's columns of both tables; collision: bodies are kept apart, which peers are not asked for.
-
-    cut: the toolpath is a part of the problem's, and the time that it takes is that of the whole: not known.
-    """
+def planned(ready: PlanningContext, collision: bool) -> Row:
+    """A row's columns of both tables; collision: bodies are kept apart, which peers are not asked for."""
     problem, stages = ready.problem, Stages()
     with stages.stage("load"):
         cell = build_cell(problem)
-    if not cut:
-        with stages.stage("toolpath"):
-            build_toolpath(problem)
+    with stages.stage("toolpath"):
+        build_toolpath(problem)
     with stages.stage("obstacles"):
         body = print_body(ready.toolpath, standing(cell))
         obstacles = obstacles_of(problem, cell, ready.toolpath, body) if collision else NOTHING

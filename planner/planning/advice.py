@@ -127,7 +127,7 @@ def below_speed(trajectory: Trajectory, commanded: Array) -> Array:
     own = t.deposit & (t.bead >= 0)
     bead, speed = t.bead[own], t.speed[own]
     slow = speed < (1.0 - SPEED_TOLERANCE) * commanded[bead]
-    return np.bincount(bead[slow], speed[slow], minlength=len(commanded)) * t.dt
+    return np.asarray(np.bincount(bead[slow], speed[slow], minlength=len(commanded)) * t.dt)
 
 
 def worst_beads(paths: Sequence[JointPath], slow: Mapping[int, float]) -> list[int]:

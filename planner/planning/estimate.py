@@ -17,9 +17,9 @@ from planner.problem import Problem
 from planner.toolpath.workload import Workload, fewer
 
 # seconds: what a run takes in any case, for each waypoint, sample and bead, and for each ball that stands for the print
-_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 0.9, 7.5e-5, 5.0e-5, 1.0e-2, 3.2e-5
+_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 1.2, 6.8e-5, 5.3e-5, 3.2e-2, 1.7e-5
 # bytes: the same
-_BYTES, _WAYPOINT, _SAMPLE, _BALL = 470e6, 0.9e3, 0.6e3, 0.4e3
+_BYTES, _WAYPOINT, _SAMPLE, _BALL = 430e6, 3.3e3, 0.16e3, 0.6e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it

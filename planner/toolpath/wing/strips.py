@@ -424,10 +424,11 @@ def fill_strip(
     lift = partial(_in_space, strip, span)
     lines = filling.lines(list(plane), name)
     tolerance, apart, height = filling.tolerance, APART * pitch, filling.height
-    beads = [
+    beads: list[Callable[[], Bead]] = [
         partial(rolled_bead, each, layer, line, lift, tolerance, apart, ends, width, height) for each, line in lines
     ]
-    return beads, lift(lines[-1][1][-1:])[0][0]
+    ends_at, _ = lift(lines[-1][1][-1:])
+    return beads, np.asarray(ends_at[0])
 
 
 def rolled_bead(
