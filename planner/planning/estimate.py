@@ -1,7 +1,7 @@
 """How long planning will take and how much memory, told before it begins; what needs more than there is, is refused.
 
 The model is linear in what there is to plan. Its rates were fitted to the runs of `benchmarks/results` by the default strategy
-on two cores, with all files written; `python -m benchmarks.budgets --model` holds it against them.
+on two cores; `python -m benchmarks.budgets --model` holds it against them.
 """
 
 from __future__ import annotations

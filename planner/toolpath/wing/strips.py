@@ -400,8 +400,8 @@ class Filling:
 def fill_strip(
     strip: Strip, along: bool, span: tuple[float, float], filling: Filling, name: str, layer: int, start: Array | None
 ) -> tuple[list[Callable[[], Bead]], Array]:
-    """What fills a strip between two y [m], in passes along its curve or along the span: what makes its bead, or one for each
-    pass, and the point (3) at which the last one ends.
+    """Fills a strip between two y [m], in passes along its curve or along the span: functions that make its bead, or one for
+    each pass, and the point (3) at which the last one ends.
 
     They stay half a pass inside the edges. Of the four corners the first begins at the one nearest to `start` (3), if given.
     The tip curve is a plane when rolled out, so turns are rounded there and all samples lie on the true curve.

@@ -284,7 +284,7 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
     else:
         check_support(problem, spec, spec.support, floor)
         jobs = _support(section, spec, spec.support, shortest, solid) + jobs
-    made: list[tuple[Callable[[], Bead], str]] = []
+    makers: list[tuple[Callable[[], Bead], str]] = []
     laid: list[int] = []
     strips, levels = ground, [-1] * len(ground)
     start = None
@@ -292,11 +292,11 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
         for number, piece in enumerate(_nearest_first(job.pieces, start), 1):
             name = f"{job.name} {layer + 1}" + (f" piece {number}" if len(job.pieces) > 1 else "")
             new, start = fill_strip(piece, job.along, span, job.filling, name, layer, start)
-            made += [(bead, job.material) for bead in new]
+            makers += [(make, job.material) for make in new]
             laid += [len(strips)] * len(new)
             strips.append(piece)
             levels.append(layer)
-    beads = of_each(lambda each: replace(each[0](), material=each[1]), made)
+    beads = of_each(lambda each: replace(each[0](), material=each[1]), makers)
     return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), tuple(laid), span, 0, {}))
 
 

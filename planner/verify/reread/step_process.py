@@ -67,7 +67,7 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
     out: dict[str, Any] = {}
     sure: list[bool] = []
     for face in chosen:
-        BRepMesh_IncrementalMesh(face, _coarsely(request["off_mm"]))
+        BRepMesh_IncrementalMesh(face, _mesher_settings(request["off_mm"]))
         k = len(sure)
         meshed = _meshed(face, request["off_mm"], request["turned"])
         if meshed is None:
@@ -77,8 +77,8 @@ def triangles(request: dict[str, Any]) -> dict[str, Any]:
     return out | {"faces": len(sure), "sure": np.array(sure, dtype=bool)}
 
 
-def _coarsely(off: float) -> IMeshTools_Parameters:
-    """What the mesher is asked for, where triangles may leave a face by `off` [mm]: all of it at edges, less within."""
+def _mesher_settings(off: float) -> IMeshTools_Parameters:
+    """Settings of the mesher, where triangles may leave a face by `off` [mm]: as exact as that at its edges, coarser within."""
     wanted = IMeshTools_Parameters()
     wanted.Deflection, wanted.DeflectionInterior = off, _COARSE * off
     wanted.Angle = wanted.AngleInterior = _ANGLE
