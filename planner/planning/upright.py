@@ -21,7 +21,8 @@ from planner.collision.print_body import tip_slack
 from planner.collision.scene import is_round
 from planner.planning.clearance import may_come_nearer
 from planner.planning.context import PlanningContext, context_of
-from planner.resolve.infeasible import TILTS, descent, into_itself
+from planner.problem import Problem
+from planner.resolve.infeasible import TILTS, descent, into_itself, nearer_hint
 from planner.resolve.joint_path import refuse_at
 from planner.toolpath.bead import Bead
 from planner.verify.checks import DIGITS
@@ -53,7 +54,8 @@ def check_upright(given: PlanningContext) -> None:
     raises = () if bead.round else _raises(given)
     if raises:
         reason += f"; {raises[0]:g} mm higher on its plate the part would be clear"
-    refuse_at(task, i, reason, hints=lambda: _raising(given, raises) or _leaning(), kind=Blocked)
+    nearer = nearer_hint(_asked(given.problem) - met.lacks + DIGITS, "clears the nozzle here")
+    refuse_at(task, i, reason, hints=lambda: (*nearer, *(_raising(given, raises) or _leaning())), kind=Blocked)
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def _met(given: PlanningContext) -> _Met | None:
         for name in {bead.material for bead in beads}
     }
     solids = {name: packed(head) for name, head in heads.items()}
-    clearance = 0.0 if may_come_nearer(problem) else problem.collision.nozzle
+    clearance = _asked(problem)
     slack = tip_slack(problem, given.toolpath)
     for k in range(given.first_bead, len(beads)):
         bead = beads[k]
@@ -93,6 +95,11 @@ def _met(given: PlanningContext) -> _Met | None:
             head = heads[bead.material][found.body].name
             return _Met(k, float(s[found.at]), head, body.name_of(found.point), -float(found.least))
     return None
+
+
+def _asked(problem: Problem) -> float:
+    """The distance of nozzle and head that is not given up [m]."""
+    return 0.0 if may_come_nearer(problem) else problem.collision.nozzle
 
 
 def _leaning() -> Hints:

@@ -192,11 +192,14 @@ def _nearer_hints(stuck: Stuck) -> tuple[str, ...]:
             found = gives, nozzle
         if gives == _ALONG:
             break
-    if not found[0]:
-        return ()
+    return nearer_hint(found[1], _GIVES[found[0]]) if found[0] else ()
+
+
+def nearer_hint(kept: float, gives: str) -> tuple[Change, ...]:
+    """The hint of a distance of nozzle and head that is kept [m], or of the next smaller ones; none where they touch."""
     key = "collision.nozzle_mm"
-    less = (f"{each * 1e3:g}" for each in NEARER if each <= found[1])
-    return (_change(found[0], *((f"{key}: {mm}", ((key, mm),)) for mm in less)),)
+    tries = tuple((f"{key}: {each * 1e3:g}", ((key, f"{each * 1e3:g}"),)) for each in NEARER if each <= kept)
+    return (Change(f"{tries[0][0]} {gives}", tries),) if tries else ()
 
 
 def _change(gives: int, *tries: tuple[str, tuple[tuple[str, Any], ...]]) -> Change:
