@@ -27,6 +27,7 @@ from planner.base.errors import InputError
 from planner.base.web import server
 from planner.base.web.door import CODE_TIME, MOST_SESSIONS, Door
 from planner.base.web.server import LARGEST_ORDER, News, Server
+from planner.problem import Problem
 from planner.view import child, command, solver
 from planner.view.command import Subject, main, read_results, run_view
 from planner.view.content import Content, changes, mistake_of, read_content, signatures
@@ -282,6 +283,7 @@ def test_view_from_the_first_solve_to_a_mended_mistake(fake: Path) -> None:
     visit(Subject(fake, "small"), scenario)
 
 
+@pytest.mark.slow
 def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capfd: pytest.CaptureFixture[str]) -> None:
     async def scenario(page: Page) -> None:
         await page.until(shown("1-whole"))
@@ -298,6 +300,7 @@ def test_solve_that_a_newer_save_overtakes_and_solver_that_dies(fake: Path, capf
     assert "a solver's last words" in capfd.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_solver_stays_for_the_next_save(fake: Path) -> None:
     """One that has ended since is replaced, and so is one that is cancelled, but where a copy of it does the work."""
 
@@ -321,15 +324,15 @@ def test_a_solver_stays_for_the_next_save(fake: Path) -> None:
 
 
 def test_a_copy_of_the_solver_ends_alone(capfd: pytest.CaptureFixture[str]) -> None:
-    copy, begun = child.Copy(), []
-    copy.end()  # there is none
-    assert copy.do(lambda: begun.append(1), lambda: None) and begun == [1]
-    Timer(0.1, copy.end).start()
+    forked, begun = child.ForkedSolve(), []
+    forked.end()  # there is none
+    assert forked.do(lambda: begun.append(1), lambda: None) and begun == [1]
+    Timer(0.1, forked.end).start()
     since = time.monotonic()
-    assert copy.do(lambda: None, lambda: time.sleep(60.0)) and time.monotonic() - since < 30.0
-    assert not copy.do(lambda: None, lambda: os.kill(os.getpid(), signal.SIGKILL))
+    assert forked.do(lambda: None, lambda: time.sleep(60.0)) and time.monotonic() - since < 30.0
+    assert not forked.do(lambda: None, lambda: os.kill(os.getpid(), signal.SIGKILL))
     assert "exit code -9" in capfd.readouterr().err
-    assert not copy.do(lambda: None, lambda: sys.exit(3))
+    assert not forked.do(lambda: None, lambda: sys.exit(3))
 
 
 @pytest.mark.slow
@@ -338,7 +341,7 @@ def test_a_large_print_is_solved_by_a_copy_after_its_draft(tmp_path: Path, monke
     said: list[dict[str, Any]] = []
     copied: list[Callable[[], None]] = []
 
-    class Copy(child.Copy):
+    class Kept(child.ForkedSolve):
         def do(self, begun: Callable[[], None], work: Callable[[], None]) -> bool:
             begun()
             copied.append(work)
@@ -346,13 +349,33 @@ def test_a_large_print_is_solved_by_a_copy_after_its_draft(tmp_path: Path, monke
 
     path = write_small(tmp_path, ("count: 1", "count: 2"))
     job = {"problem": str(path), "overrides": [], "strategy": "as_published", "drafts": True, "folder": str(tmp_path)}
-    assert child.run(job, lambda **message: said.append(message), Copy())
+    assert child.run(job, lambda **message: said.append(message), Kept())
     assert [message["draft"] for message in said if "kind" in message] == ["one layer of 2"]
     assert said[-1] == {"apart": True} and len(copied) == 1
     assert (tmp_path / "draft" / "report.html").is_file() and not (tmp_path / "whole").exists()
     copied[0]()
     assert [message["draft"] for message in said if "kind" in message] == ["one layer of 2", ""]
     assert (tmp_path / "whole" / "report.html").is_file()
+
+
+def test_a_first_layer_that_cannot_be_laid_alone_is_no_mistake_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(child, "LARGE", 10)
+    monkeypatch.setattr(child, "FORKS", False)
+    solved: list[str] = []
+
+    def solve(problem: Problem, strategy: str, folder: Path, draft: str, say: child.Say) -> None:
+        if draft:
+            raise InputError("the first layer has no bead")
+        solved.append(folder.name)
+
+    monkeypatch.setattr(child, "_solve", solve)
+    path = write_small(tmp_path, ("count: 1", "count: 2"))
+    said: list[dict[str, Any]] = []
+    job = {"problem": str(path), "overrides": [], "strategy": "as_published", "drafts": True, "folder": str(tmp_path)}
+    assert child.run(job, lambda **message: said.append(message), child.ForkedSolve())
+    assert (solved, said) == (["whole"], [])
 
 
 def test_solver_that_cannot_be_started_is_said(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -457,6 +480,7 @@ def test_the_browser_is_started_with_a_code_only(
     visit(Subject(fake, "small"), scenario)
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     "said",
     [

@@ -14,6 +14,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 from multiprocessing.context import ForkProcess
@@ -47,8 +48,8 @@ def main() -> int:
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever a library prints is no message
     jobs: SimpleQueue[Job] = SimpleQueue()
-    copy = Copy()
-    threading.Thread(target=_listen, args=(jobs, copy), daemon=True).start()
+    forked = ForkedSolve()
+    threading.Thread(target=_listen, args=(jobs, forked), daemon=True).start()
 
     def say(number: int, **message: Any) -> None:
         out.write(json.dumps({"job": number, **message}) + "\n")
@@ -56,12 +57,12 @@ def main() -> int:
 
     while True:
         job = jobs.get()
-        if not run(job, partial(say, job["number"]), copy):
+        if not run(job, partial(say, job["number"]), forked):
             return 1
 
 
-class Copy:
-    """A copy of this process that does part of a job, if one does; another thread may end it."""
+class ForkedSolve:
+    """A solve in a copy of this process, if there is one; another thread may end it."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -96,7 +97,7 @@ def _copied(parent: int, work: Callable[[], None]) -> None:
     work()
 
 
-def run(job: Job, say: Say, copy: Copy) -> bool:
+def run(job: Job, say: Say, forked: ForkedSolve) -> bool:
     """Solve one job: {number, problem, overrides, strategy, drafts, folder}; reports go into folder/draft and folder/whole.
 
     False where a copy of this process ended before it was done.
@@ -105,24 +106,28 @@ def run(job: Job, say: Say, copy: Copy) -> bool:
         problem, folder = load_problem(job["problem"], job["overrides"]), Path(job["folder"])
         layers = getattr(problem.layers, "count", 1)
         first = _first_layer(job) if layers > 1 else None
-        large = _waypoints(problem if first is None else first) * (1 if first is None else layers) >= LARGE
-        drafted = first is not None and large and job["drafts"]
-        if first is not None and drafted:
-            _solve(first, job["strategy"], folder / "draft", f"one layer of {layers}", say)
+        large = (_waypoints(problem) if first is None else first[1] * layers) >= LARGE
     except PlannerError as error:
         say(mistake=asdict(mistake_of(error)))
         return True
+    drafted = first is not None and large and job["drafts"]
+    if first is not None and drafted:
+        with suppress(
+            PlannerError
+        ):  # of a layer that cannot be laid alone; what is wrong with all of them is told below
+            _solve(first[0], job["strategy"], folder / "draft", f"one layer of {layers}", say)
     whole = partial(_whole, problem, job["strategy"], folder / "whole", say)
     if large and FORKS:
-        return copy.do(partial(say, apart=True), partial(whole, BEHIND if drafted else 0))
+        return forked.do(partial(say, apart=True), partial(whole, BEHIND if drafted else 0))
     whole(0)
     return True
 
 
-def _first_layer(job: Job) -> Problem | None:
-    """The problem with its first layer alone; None where that is none."""
+def _first_layer(job: Job) -> tuple[Problem, int] | None:
+    """The problem with its first layer alone, and its waypoints; None where that is none."""
     try:
-        return load_problem(job["problem"], [*job["overrides"], "layers.count=1"])
+        first = load_problem(job["problem"], [*job["overrides"], "layers.count=1"])
+        return first, _waypoints(first)
     except InputError:
         return None
 
@@ -160,12 +165,12 @@ def _solve(problem: Problem, strategy: str, folder: Path, draft: str, say: Say) 
     say(kind=kind, words=f"{words}; {size}", figures=figures_of(plan.metrics), draft=draft)
 
 
-def _listen(jobs: SimpleQueue[Job], copy: Copy) -> None:
-    """Take orders: a job, or to cancel the one that a copy does."""
+def _listen(jobs: SimpleQueue[Job], forked: ForkedSolve) -> None:
+    """Take orders: a job, or to cancel the one that a copy of this process does."""
     for line in _lines():
         order = json.loads(line)
         if "cancel" in order:
-            copy.end()
+            forked.end()
         else:
             jobs.put(order)
     os.killpg(os.getpgid(0), signal.SIGKILL)  # the session that was made for this process, workers included
