@@ -181,7 +181,8 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         continue
                     if crowded and lacks_clearance(table, bodies, posture, branch_q[c], now, lacking, a):
                         continue
-                    terms[r, a, b, c] = (sigmas[pair], away, wrist, shares[pair])
+                    own = terms[r, a, b, c]
+                    own[0], own[1], own[2], own[3] = sigmas[pair], away, wrist, shares[pair]
                     for j in range(na):
                         q_out[r, a, b, c, j] = branch_q[c, j]
 
@@ -254,7 +255,7 @@ def way_back(ends, came, task_rungs):
         k = ends[task]
         a, b, c = k // (B * C), (k // C) % B, k % C
         for r in range(task_rungs[task + 1] - 1, task_rungs[task] - 1, -1):
-            picked[r] = (a, b, c)
+            picked[r, 0], picked[r, 1], picked[r, 2] = a, b, c
             if r > task_rungs[task]:
                 step = came[r, a, b, c]
                 a, b = (a - (step // 3 - 1)) % A, (b - (step % 3 - 1)) % B

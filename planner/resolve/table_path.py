@@ -408,7 +408,9 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
     width = headings * branches
     base = cells.first[k0]
     out = np.empty((cells.first[k1 + 1] - base, width), dtype=np.float32)
-    out[: len(begun)] = begun
+    for x in range(len(begun)):
+        for m in range(width):
+            out[x, m] = begun[x, m]
     far = np.empty((3, 2 * max(na, nb, headings) + 1), dtype=np.float32)
     slot = np.full((na, nb), -1, dtype=np.int64)  # of a place with the old rotation and the new tilt
     wanted = np.zeros(na, dtype=np.bool_)
@@ -457,10 +459,12 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
                 if 0 <= j < nb and slot[cells.a[x], j] >= 0:
                     _least(own, moved[slot[cells.a[x], j]], far[1, d + w[1]])
             # over heading
-            row[:] = own
+            for m in range(width):
+                row[m] = own[m]
             if cells.begins[k]:
                 _change_branch(row, branches)
-                own[:] = row
+                for m in range(width):
+                    own[m] = row[m]
             for d in range(-w[2], w[2] + 1):
                 if d:
                     for h in range(headings):

@@ -61,7 +61,8 @@ def _projected(axis: Array, normals: Array) -> Array:
 def _transport(normals: Array, start: Array) -> Array:
     """Carry a tangent from sample to sample by the smallest rotation that takes one normal to the next."""
     out = np.empty_like(normals)
-    out[0] = start
+    for k in range(3):
+        out[0, k] = start[k]
     for i in range(1, len(normals)):
         a, b, r = normals[i - 1], normals[i], out[i - 1]
         cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
