@@ -178,8 +178,8 @@ def _tried(
         toolpath = build_toolpath(problem) if change.kind == "corner_tolerance" else given.toolpath
         if len(toolpath.beads) != len(given.toolpath.beads):
             return None
-        tasks = tasks_of(problem, toolpath)
-        some = [tasks[i] for i in beads]
+        few = replace(toolpath, beads=tuple(toolpath.beads[i] for i in beads))
+        some = [replace(task, bead=i) for i, task in zip(beads, tasks_of(problem, few), strict=True)]
         start = ladder(given.cell, some, problem.resolve, given.obstacles)
         found = refine_paths(given.cell, start, problem.resolve, given.obstacles, given.terms)
     except (Refusal, InputError):
