@@ -2,7 +2,9 @@
 # where a target needs it, what tests do.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 PROBLEM ?= cylinder_logo
-PARALLEL := -n 2 --dist loadfile --no-loadscope-reorder
+# One worker more than there are cores: some tests wait for servers and browsers. Each worker holds about 1 GB.
+WORKERS := $(shell expr $$(nproc 2>/dev/null || echo 2) + 1)
+PARALLEL := -n $(WORKERS) --maxprocesses 8 --dist loadfile --no-loadscope-reorder
 BIN := .venv/bin
 READY := .venv/.ready
 TESTS := .venv/.ready-test

@@ -42,10 +42,10 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
 if "PYTEST_XDIST_WORKER" in os.environ:
     take_turns()
 
-# Files to begin with. The first two compile different kernels, and what starts processes of its own finds them compiled;
+# Files to begin with. The first ones compile different kernels, and what starts processes of its own finds them compiled;
 # those that take long come before those that do not, so that no worker waits for another one at the end.
 FIRST = (
-    "problems", "sqp_kernels", "timing_optimum", "placement", "wing_lofted", "process_whole", "fibre", "bad_cases",
+    "problems", "sqp_kernels", "timing_optimum", "table_path", "placement", "process_whole", "fibre", "bad_cases",
     "register", "headroom", "step", "notebooks", "browser", "command", "view_page", "step_top", "substrate", "corpora",
     "obstacles_refine", "link_command", "verify", "verify_extrusion", "positioners", "sqp", "resolve", "timing",
     "materials", "cores", "wing", "report", "resume", "dips", "svg", "volume",
@@ -90,8 +90,8 @@ def pytest_collection() -> Generator[None, object, object]:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Files in the order of FIRST, all others after them; slow tests only where they are asked for.
 
-    `@pytest.mark.slow` is for tests that take seconds; `keep` has patterns of cases of such a test that run all the same,
-    `cases` of the only ones that are slow.
+    `@pytest.mark.slow` is for tests that take seconds. Of the cases of such a test `keep` has those that run all the same: a
+    number of them, spread evenly, or patterns of their names; `cases` has patterns of the only ones that are slow.
     """
     rank = {f"test_{name}.py": i for i, name in enumerate(FIRST)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
@@ -100,7 +100,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.getoption("--all-tests"):
         return
     part, parts = (int(each) for each in (config.getoption("--slice") or "-1/1").split("/"))
-    left_out = [item for item in items if _is_slow(item) and crc32(item.nodeid.encode()) % parts != part]
+    spread = _spread_cases(items)
+    left_out = [
+        item
+        for item in items
+        if _is_slow(item) and item.nodeid not in spread and crc32(item.nodeid.encode()) % parts != part
+    ]
     config.hook.pytest_deselected(items=left_out)
     kept = set(map(id, items)) - set(map(id, left_out))
     items[:] = [item for item in items if id(item) in kept]
@@ -111,7 +116,24 @@ def _is_slow(item: pytest.Item) -> bool:
     if marker is None or case is None:
         return marker is not None
     kept, slow = marker.kwargs.get("keep", ()), marker.kwargs.get("cases", ("*",))
-    return _is_any(case.id, slow) and not _is_any(case.id, kept)
+    return _is_any(case.id, slow) and (isinstance(kept, int) or not _is_any(case.id, kept))
+
+
+def _spread_cases(items: list[pytest.Item]) -> set[str]:
+    """Cases of slow tests of which a number is kept: from the first to the last, as far apart as can be."""
+    cases: dict[str, list[str]] = {}
+    number: dict[str, int] = {}
+    for item in items:
+        marker = item.get_closest_marker("slow")
+        if marker is not None and isinstance(kept := marker.kwargs.get("keep"), int):
+            test = item.nodeid.partition("[")[0]
+            cases.setdefault(test, []).append(item.nodeid)
+            number[test] = kept
+    return {
+        ids[round(k * (len(ids) - 1) / max(number[test] - 1, 1))]
+        for test, ids in cases.items()
+        for k in range(number[test])
+    }
 
 
 def _refuse_unknown_cases(items: list[pytest.Item]) -> None:
@@ -119,7 +141,8 @@ def _refuse_unknown_cases(items: list[pytest.Item]) -> None:
     cases: dict[tuple[str, str], list[str]] = {}
     for item in items:
         marker, case = item.get_closest_marker("slow"), getattr(item, "callspec", None)
-        for pattern in [] if marker is None else [each for named in marker.kwargs.values() for each in named]:
+        named = [] if marker is None else [each for each in marker.kwargs.values() if not isinstance(each, int)]
+        for pattern in (pattern for patterns in named for pattern in patterns):
             cases.setdefault((item.nodeid.partition("[")[0], pattern), []).append("" if case is None else case.id)
     unknown = [
         f"{test}: {pattern!r}" for (test, pattern), ids in cases.items() if not any(_is_any(i, (pattern,)) for i in ids)

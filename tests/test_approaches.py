@@ -45,6 +45,7 @@ def carried(data: dict, q: Array, joints: list[int]) -> Array:
     return T
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("solved", [small_plan, bed_plan])
 def test_screws_bring_every_body_where_the_checks_have_it(solved) -> None:
     """Poses by the product of exponentials are Pinocchio's."""

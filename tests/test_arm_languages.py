@@ -232,6 +232,7 @@ def said(language: str, files: Files) -> tuple[list[tuple[float, ...]], list[tup
 ORDER = {"fanuc": "xyz", "inform": "xyz", "melfa": "xyz", "val3": "XYZ", "kawasaki": "ZYZ"}
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("language", ARMS)
 def test_targets_are_where_the_plan_has_the_nozzle(language: str) -> None:
     """The maker's axes, tool and part frame alone put each target where the plan's joints have it."""
@@ -257,6 +258,7 @@ def test_targets_are_where_the_plan_has_the_nozzle(language: str) -> None:
         assert np.abs(convention.counted(q) - np.radians(values)).max(axis=1).min() < 1e-5
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("language", ARMS)
 @pytest.mark.parametrize(
     "changes", [{}, {"arm": "irb140"}, {"beads": 3, "dip": False}, {"materials": ("pla", "pva")}], ids=str
@@ -277,6 +279,7 @@ def test_arcs_are_written_unless_they_are_not_wanted(language: str) -> None:
     assert not re.search(word, "".join(files.values())) and differences(language, files, plain) == []
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("language", ARMS)
 def test_rests_in_a_bead_are_kept(language: str) -> None:
     plan = resting_in_a_bead(arc(dip=False))
@@ -324,6 +327,7 @@ def test_a_longer_program_is_programs_that_are_called(language: str, monkeypatch
                 differences(language, {name: text for name, text in files.items() if name not in gone})
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("language", ARMS)
 def test_a_solved_print(language: str) -> None:
     """On a base that stands elsewhere than the world's origin."""
@@ -476,6 +480,7 @@ TAMPERED: dict[str, list[Tampering]] = {
 }
 
 
+@pytest.mark.slow(keep=16)
 @pytest.mark.parametrize(
     ("language", "ending", "pattern", "change", "which", "named"),
     [

@@ -227,6 +227,7 @@ def test_nearly_ideal_arms_are_solved_exactly_too(name: str) -> None:
     assert apart(found[k, own], q)[clear].max() < 1e-9
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", ["ur5", "ur10", "panda", "iiwa", "iiwa joint 7"])
 def test_many_starts_of_newton_find_no_other_branch(name: str) -> None:
     """600 random starts a pose; every posture that they reach is one of the closed form's, and none of those misses."""

@@ -75,6 +75,7 @@ def test_no_motion_escapes() -> None:
     none_escapes(lambda by: motions.attack_plan(small_plan(), by), "plans", 2)
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("language", ["rapid", "krl", "fanuc"])
 def test_no_program_escapes(language: str) -> None:
     texts = LANGUAGES[language].write(plans(language))
@@ -85,7 +86,7 @@ def test_no_gcode_escapes() -> None:
     none_escapes(lambda by: attack_gcode(small_plan(), gcode(small_plan()), by), "gcode", 40)
 
 
-@pytest.mark.slow(cases=("recordings-*",))
+@pytest.mark.slow(keep=("tables-20",))
 @pytest.mark.parametrize(("kind", "count"), [("recordings", 6), ("tables", 20), ("clouds", 3)])
 def test_no_measurement_escapes(tmp_path: Path, kind: str, count: int) -> None:
     none_escapes(all_kinds()[kind].prepare(tmp_path), kind, count)
@@ -232,6 +233,7 @@ def test_what_fails_no_check_is_measured() -> None:
 # ---- processes that die, hang or fail ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cases_that_die_hang_or_fail_have_escaped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cases, "LONGEST", 1.0)
 
@@ -292,6 +294,7 @@ FOUND: dict[str, tuple[str, str, str, str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", FOUND)
 def test_what_was_found_is_told(name: str) -> None:
     language, old, new, words = FOUND[name]
@@ -321,6 +324,7 @@ def test_a_vertex_without_a_place_is_refused(tmp_path: Path) -> None:
     assert outcome.verdict == REFUSED and "drawing.dxf" in outcome.told
 
 
+@pytest.mark.slow
 def test_a_damaged_mesh_prints_no_traceback_of_its_reader(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     data = files.inputs()["STL"].data.replace(b"facet normal 0 0 1", b"facet normal 0 0 x", 1)
     read("STL", tmp_path, data)

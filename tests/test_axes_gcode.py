@@ -462,6 +462,7 @@ def test_feed_counts_what_the_controller_counts(flavour: str, moved: dict[str, f
     assert feed_length(flavour, moved) == pytest.approx(length)
 
 
+@pytest.mark.slow
 def test_a_robot_on_a_turning_part_keeps_its_feed() -> None:
     """Its part's axis is U, which LinuxCNC counts with the filament's W where the tip rests."""
     plan = on(fibre(), spec("robot", feed="per_minute"))

@@ -90,7 +90,7 @@ class _OneByOne:
         return done
 
 
-@pytest.mark.slow(keep=("positioner",))
+@pytest.mark.slow
 @pytest.mark.parametrize("plan", [small_plan, bed_plan], ids=["positioner", "bed"])
 def test_verification_in_threads_is_the_same(plan: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     plan = plan()

@@ -91,6 +91,7 @@ def test_toolpaths_are_sound_or_refused(kind: str, count: int, tmp_path: Path) -
     assert built > count // 5
 
 
+@pytest.mark.slow(keep=15)
 @pytest.mark.parametrize("seed", range(60))
 def test_the_curve_stays_beside_its_waypoints(seed: int) -> None:
     """Waypoints whose distances differ by 10,000: no point of the curve is far from the chords between them."""
@@ -265,6 +266,7 @@ def test_a_bead_that_ends_while_it_grows_faster(tmp_path: Path) -> None:
     assert not judge(plan)
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize(("seed", "wrong"), [(226, "normals noise"), (154, "crosses itself")])
 def test_the_axis_is_judged_by_its_own_pass(seed: int, wrong: str, tmp_path: Path) -> None:
     plan = solve(waypoint_problem(tmp_path, seed))

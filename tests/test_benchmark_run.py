@@ -102,6 +102,7 @@ def test_an_interrupted_run_goes_on_where_it_ended(
     assert "8 rows there are of another commit" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_crash_and_a_refusal_are_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     def broken(*_: object) -> None:
         raise ZeroDivisionError("of nothing")

@@ -146,6 +146,7 @@ def cloud(part: str) -> tuple[cKDTree, Array]:
     return cKDTree(points), normals / np.linalg.norm(normals, axis=1)[:, None]
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("part", PARTS)
 def test_layers_are_spaced_along_the_true_normal(part: str) -> None:
     """Spacing within 2 % and normals within 0.1 degrees, against the formula of the surface."""

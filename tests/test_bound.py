@@ -41,6 +41,7 @@ def test_no_route_on_the_fine_grid_costs_less_than_the_bound(
     assert best <= found.route.price * (1.0 + 1e-9)
 
 
+@pytest.mark.slow
 def test_longer_pieces_bound_no_worse(searched: tuple[Cell, LadderRoute, float, float]) -> None:
     cell, found, sigma, _ = searched
     short, long = (lower_bound(cell, found, sigma, piece) for piece in (1, 1000))

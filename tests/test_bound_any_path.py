@@ -79,6 +79,7 @@ def projected(cell: Cell, task: NozzleTask, i: int, q: Array, qd: Array, qdd: Ar
     return np.asarray((left - basis @ (basis.T @ left)) / np.linalg.norm(size))
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("name", ["cylinder_logo", "peer_cap"])
 def test_accelerations_are_those_of_a_path_on_which_everything_moves(name: str) -> None:
     _, cell, _ = loaded(name, *PIN) if name == "cylinder_logo" else loaded(name)

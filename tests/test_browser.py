@@ -115,6 +115,7 @@ def test_the_first_screen_shows_verdict_figures_and_the_cell(small: Opened) -> N
     assert (without.min(axis=2) < 0.9).mean() < 0.5 * (picture.min(axis=2) < 0.9).mean()
 
 
+@pytest.mark.slow
 def test_the_print_is_large_and_the_arm_is_in_view_at_first(small: Opened, stars: Opened) -> None:
     """How much of the picture's height the beads take, and where the nozzle is, from -1 to 1."""
     share = (
@@ -225,6 +226,7 @@ def test_playing_moves_the_robot_and_lays_the_beads(small: Opened) -> None:
     page.locator("#grow").uncheck()
 
 
+@pytest.mark.slow
 def test_a_place_brings_time_camera_and_its_words(small: Opened) -> None:
     page, plan = small.page, small_plan()
     page.locator("[data-view=cell]").click()

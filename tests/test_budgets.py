@@ -45,7 +45,7 @@ def test_what_a_refusal_says() -> None:
         limit.check(11, "it has", InputError, "fewer")
 
 
-@pytest.mark.slow(cases=("blocks-*", "rules-*"))
+@pytest.mark.slow(cases=("blocks-*", "rules-*", "curves-*"))
 @pytest.mark.parametrize(
     ("name", "place", "said"),
     [
@@ -96,6 +96,7 @@ def test_large_files_of_points_are_not_quick(tmp_path: Path, monkeypatch: pytest
     assert not found.mistakes and found.toolpath is None and found.work is None
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("problem", ["cylinder_logo", "hemisphere_honeycomb"])
 def test_curves_are_foreseen(problem: str) -> None:
     """Beads exactly, waypoints and length within a fifth of what is laid."""

@@ -247,6 +247,7 @@ def test_the_motion_has_the_speeds_times_and_pauses_that_are_asked_for() -> None
     assert plan.metrics["at_speed_fraction"] > 0.8
 
 
+@pytest.mark.slow
 def test_dips_are_below_the_speed_of_their_own_bead() -> None:
     plan = by_layer()
     slow = {dip.bead for dip in plan.dips}
@@ -263,6 +264,7 @@ def with_events(plan: Plan, change: Callable[[Event], Event | None]) -> Plan:
     return replace(plan, trajectory=replace(plan.trajectory, events=told))
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("overrides", "check"),
     [
@@ -396,6 +398,7 @@ def on_a_plane(process: str) -> Toolpath:
     return drawn(process, *overrides)  # fmt: skip
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("lay", [drawn, on_a_plane])
 def test_closed_beads_begin_where_the_seam_is_asked_for(lay: Callable[[str], Toolpath]) -> None:
     usual = lay("")
@@ -472,6 +475,7 @@ def test_an_order_of_no_bead_is_refused() -> None:
     assert caught.value.hint == "did you mean ring?"
 
 
+@pytest.mark.slow
 def test_the_verifier_sees_beads_out_of_order() -> None:
     plan = by_layer()
     names = [bead.name for bead in plan.beads]

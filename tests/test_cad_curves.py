@@ -87,7 +87,7 @@ def paths_in(path: Path) -> list[np.ndarray]:
     return [each.points for each in nurbs_paths(read_curves(path, complain), lambda _: complain)]
 
 
-@pytest.mark.slow(cases=("igs", "inches"))
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_lines_and_arcs_that_follow_one_another_are_one_curve(tmp_path: Path, kind: str) -> None:
     way, ring = paths_in(written(compound(*slot()), tmp_path, kind))
@@ -116,7 +116,7 @@ def test_edges_of_a_wire_may_run_either_way(tmp_path: Path, turned: int) -> None
         assert length == pytest.approx(30.0 + np.hypot(10, 20) + np.hypot(30, 6), abs=1e-6)
 
 
-@pytest.mark.slow(cases=("igs", "inches"))
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_nurbs_curve_keeps_its_degree_points_and_weights(tmp_path: Path, kind: str) -> None:
     points, weights = [(-70, -20, 0), (-25, -55, 4), (25, 15, 0), (70, -20, 9)], (1.0, 0.8, 1.5, 1.0)

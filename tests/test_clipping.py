@@ -79,6 +79,7 @@ def test_cuts_at_edges_keep_their_distance() -> None:
     assert not at_edges(np.zeros((0, 2)), 1e-3)(plane).any()
 
 
+@pytest.mark.slow
 def test_a_pattern_beyond_a_plane_is_cut_at_its_rim() -> None:
     plane = "part={plane: {size_mm: [40, 40]}}"
     with pytest.raises(InputError, match="leaves the part") as caught:

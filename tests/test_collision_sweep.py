@@ -36,6 +36,7 @@ def _wandering(rng: np.random.Generator, low: Array, high: Array, n: int) -> Arr
     return np.asarray((1.0 - share) * knots[k] + share * knots[k + 1])
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("seed", range(3))
 def test_least_distances_are_those_of_dense_sampling(tmp_path: Path, seed: int) -> None:
     problem, cell = scene(tmp_path, FIXTURES)

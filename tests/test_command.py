@@ -180,6 +180,7 @@ FIELDS: dict[str, tuple[Change, str, tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize("mistake", FIELDS)
 def test_field_that_is_wrong(run: Callable[..., Outcome], tmp_path: Path, mistake: str) -> None:
     change, spot, fragments = FIELDS[mistake]
@@ -354,7 +355,7 @@ def test_how_far_out_of_reach(run: Callable[..., Outcome], tmp_path: Path) -> No
 LIMITS = "    free: [rotation]\n"
 
 
-@pytest.mark.slow(keep=("ladder",))
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["ladder", "greedy", "fixed", "as_published"])
 def test_joint_range_that_leaves_no_posture(run: Callable[..., Outcome], tmp_path: Path, strategy: str) -> None:
     """The first three joints hardly leave home, so that the wrist stays where it is."""
@@ -423,6 +424,7 @@ def test_no_plan_removes_stale_robot_code_and_nothing_else(run: Callable[..., Ou
     assert (folder / "photos" / "print.mod").read_text() == "mine too"
 
 
+@pytest.mark.slow
 def test_plan_that_fails_a_check_removes_stale_robot_code(run: Callable[..., Outcome], tmp_path: Path) -> None:
     write_small(tmp_path)
     folder = tmp_path / "out" / "small"

@@ -288,6 +288,7 @@ def test_every_row_of_controllers_is_sound():
         assert set(controller.motion.assumed) <= set(vars(controller.motion))
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_language_of_controllers_has_a_forecast(name):
     arm = {"urscript": "ur5e", "rapid": "irb140"}.get(name, "kr6_r900")

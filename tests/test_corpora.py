@@ -38,6 +38,7 @@ SECTION = (find_problem("naca0015_wing").parent / "naca0015_arigela.dat").read_t
 DRAWING = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 9 9"><path d="M1 1h7v7h-7z"/></svg>'
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("corpus", "name", "content", "verdict", "detail"),
     [

@@ -130,7 +130,8 @@ def plan_of(tmp_path: Path, figure: str, asked: str | None) -> Plan:
     return solve_alone(load_problem(write_small(tmp_path, *change, svg=svg)))
 
 
-@pytest.mark.parametrize("figure", ["cross", "tee", pytest.param("knot", marks=pytest.mark.slow), "ring"])
+@pytest.mark.slow(keep=("ring",))
+@pytest.mark.parametrize("figure", ["cross", "tee", "knot", "ring"])
 def test_a_print_that_crosses_is_refused_where_that_is_asked(figure: str, tmp_path: Path) -> None:
     plan = plan_of(tmp_path, figure, "refused")
     (check,) = (each for each in plan.checks if each.name == CROSSINGS)

@@ -54,7 +54,7 @@ def test_the_page_lists_each_package_of_each_lock(lock: str) -> None:
     assert [(name, version) for name, version, *_ in rows_of(lock)] == [pin for _, pin in sorted(pinned(lock).items())]
 
 
-@pytest.mark.slow(keep=("requirements.txt",))
+@pytest.mark.slow
 @pytest.mark.parametrize("lock", [RUNNING, TESTING])
 def test_the_page_has_the_licences_of_what_is_installed(lock: str) -> None:
     compared = 0

@@ -141,6 +141,7 @@ def cut_places(plan: Plan) -> Array:
     return t.tip[[samples_of_rest(t, event)[0] for event in cuts(t)]]
 
 
+@pytest.mark.slow
 def test_the_program_is_the_papers() -> None:
     """Figure 7 of Tawfik et al.: a line for each straight segment, and the cutter's between two waits of a second."""
     plan = divided("fibre_plane")

@@ -587,6 +587,7 @@ def test_the_layers_grow_as_they_are_printed(tmp_path: Path) -> None:
     assert found == pytest.approx([4.4e-3, 0.1e-3, -min(0.4e-3, half), -1e-3], abs=2e-6)
 
 
+@pytest.mark.slow
 def test_distance_agrees_with_brute_force(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     toolpath = build_toolpath(load_problem("planar_gcode"))

@@ -52,6 +52,7 @@ def test_the_program_moves_one_arm(name: str, language: str, changes: tuple[str,
     assert apart.ok and apart.worst < 50.0
 
 
+@pytest.mark.slow
 def test_the_part_stands_in_the_world() -> None:
     plan = held("fibre_plane")
     files = LANGUAGES["rapid"].write(plan)

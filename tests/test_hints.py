@@ -54,6 +54,7 @@ def vector_in(hint: str) -> Array:
     return np.array([float(x) for x in found[1].split(",")])
 
 
+@pytest.mark.slow
 def test_a_speed_that_no_joint_can_hold_is_no_reason_to_refuse(toolpath: Toolpath) -> None:
     assert len(plan(toolpath, "process.speed_mm_s=400")) == 1
 

@@ -133,6 +133,7 @@ def test_how_far_joints_leave_their_commands_does_not_count_how_late_they_are(la
 # ---- corners ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("speed", [0.04, 0.1])
 def test_corners_show_depth_and_lag(speed: float):
     path, followed = run_of(ZIGZAG, ABB, speed=speed, zone=ZONES)
@@ -170,6 +171,7 @@ def test_how_long_before_a_stop_it_brakes(noise: float):
     assert brakes.way == pytest.approx(0.5 * brakes.speed * brakes.time)
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("moves", [2, 3])
 @pytest.mark.parametrize("model", [ABB, JOINTS], ids=lambda model: model.name)
 def test_a_controller_that_knows_few_moves_ahead_shows_how_many(model: MotionModel, moves: int):
@@ -302,6 +304,7 @@ REFUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("case", REFUSED)
 def test_recordings_of_something_else_are_refused(tmp_path: Path, case: str):
     change, said = REFUSED[case]

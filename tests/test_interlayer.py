@@ -322,6 +322,7 @@ def rows_of(t: Trajectory, rows: Ints) -> Trajectory:
     return replace(t, **arrays | {"t": np.arange(len(rows)) * t.dt})
 
 
+@pytest.mark.slow
 def test_a_wait_that_is_cut_short_fails() -> None:
     plan, t = plan_with(WINDOW), plan_with(WINDOW).trajectory
     wait = next(event for event in t.events if event.kind == "cool")
@@ -430,5 +431,6 @@ def spread(values: Array) -> float:
     return float(np.nanmax(values) - np.nanmin(values))
 
 
+@pytest.mark.slow
 def test_in_step_ages_hardly_spread() -> None:
     assert spread(plan_with(WINDOW).series[AGES]) < 0.5 * spread(plan_with("").series[AGES])

@@ -152,6 +152,7 @@ def add(field: str, k: int, joint: int, amount: float) -> Callable[[Any], object
     return change
 
 
+@pytest.mark.slow(keep=22)
 @pytest.mark.parametrize("k", range(2, 54, 4))
 @pytest.mark.parametrize("joint", range(7))
 def test_any_point_that_was_moved_is_found(k: int, joint: int) -> None:

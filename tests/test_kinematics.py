@@ -384,6 +384,7 @@ def test_solutions_within_ranges_are_those_of_solve(name: str) -> None:
         assert angle_apart(q[seen], found[k, seen]).max(initial=0.0) < 1e-8
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", OPW)
 def test_jacobian_of_a_spherical_wrist_and_its_inverse(name: str) -> None:
     """Of a point that stands off the flange, against Pinocchio's Jacobian."""

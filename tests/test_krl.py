@@ -323,6 +323,7 @@ def tampered(pattern: str, change: Callable[[re.Match[str]], str], which: int, n
     return differences(wave(), files | {name: changed})
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("which", range(0, 42, 3))
 def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which: int) -> None:
     assert any("path" in difference for difference in tampered(LINE, shifted("X", 0.2), which))
@@ -335,6 +336,7 @@ def test_any_axis_of_travel_that_was_moved_is_found(which: int, axis: int) -> No
     assert any("axes differ" in difference for difference in tampered(POINT, shifted(f"A{axis}", 0.01), which))
 
 
+@pytest.mark.slow(keep=6)
 @pytest.mark.parametrize(
     ("pattern", "change", "which", "name", "named"),
     [
@@ -376,6 +378,7 @@ def test_a_program_that_says_something_else_is_found(
     assert any(named in difference for difference in found), found
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

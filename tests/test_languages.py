@@ -41,6 +41,7 @@ def test_every_name_that_may_be_asked_for_is_a_language() -> None:
     assert not set(LANGUAGE_NAMES) & set(ALWAYS)
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("key", robot_names())
 def test_robots_that_ship_speak_what_their_makers_controllers_do(key: str) -> None:
     robot = read_robot(ROBOTS / f"{key}.yaml")
@@ -83,6 +84,7 @@ def test_a_resumed_print_says_from_which_bead_on(language: str, tmp_path: Path) 
         assert re.findall(r"(?i)bead_?(\d{4})\(\)", text).count("0003") >= 1 and "0001()" not in text
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("language", ["fanuc", "inform", "val3", "kawasaki", "melfa"])
 def test_a_resumed_print_says_so_where_beads_have_no_programs(language: str, tmp_path: Path) -> None:
     paths = write_robot_code(resumed(asked(language, arm="kr6_r900", positioner=False)), tmp_path)

@@ -58,6 +58,7 @@ def test_another_height_is_told_and_tried(tmp_path: Path, apart_mm: float, heigh
     assert hints_that_hold(problem, toolpath, (), Planner(lambda p: False)) == ()
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.18, 1.0), st.integers(2, 4), st.integers(0, 1000))
 def test_the_distance_is_found_whatever_way_layers_face(tmp_path: Path, apart_mm: float, count: int, seed: int) -> None:

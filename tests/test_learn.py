@@ -331,6 +331,7 @@ CORRUPTED: dict[str, tuple[Callable[[Trajectory, Plan], Trajectory], set[str]]] 
 }
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", CORRUPTED)
 def test_an_asked_motion_that_is_not_as_learned_fails(name: str) -> None:
     spoil, names = CORRUPTED[name]
@@ -393,7 +394,7 @@ def test_plan_and_asked_motion_come_back_from_a_file_and_a_changed_one_is_seen(t
 # Run by run.
 
 
-@pytest.mark.slow(cases=("joints late",))
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_runs_bring_simulated_robots_to_their_plan(plan: Plan, robot: str) -> None:
     """To a quarter of what they were off, root mean square, within three runs that teach."""

@@ -194,6 +194,7 @@ BAD: dict[str, tuple[Callable[[Plan, Array, Array], tuple[Array, Array]], str]] 
 }
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", BAD)
 def test_a_recording_of_something_else_is_refused(
     plan: Plan, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]

@@ -72,6 +72,7 @@ def test_least_lean_of_each_place_against_all_angles(which: str) -> None:
     assert (early[found <= enough] <= enough + 1e-6).all()
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("round_b", [False, True])
 def test_least_way_against_all_thresholds(seed: int, round_b: bool) -> None:

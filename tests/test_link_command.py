@@ -154,6 +154,7 @@ def test_a_fault(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[
     assert not machine.controller.running
 
 
+@pytest.mark.slow
 def test_ctrl_c(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
     def strike() -> None:
         while len(carried_out(machine)) < 5:
@@ -228,6 +229,7 @@ def test_wrong_passwords(
     assert machine.state() is None and carried_out(machine) == []
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("name", "old", "new", "code", "words"),
     [

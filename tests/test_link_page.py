@@ -114,6 +114,7 @@ def hub(request: pytest.FixtureRequest, files: Path, monkeypatch: pytest.MonkeyP
         made.ended()
 
 
+@pytest.mark.slow
 def test_pause_reprime_and_continue_within_the_bead(hub: Hub) -> None:
     """The board gets every line once; what primes it stands between two lines of a bead."""
     told = hub.until(lambda told: told.get("bead") and told["line"] > 5)

@@ -386,6 +386,7 @@ def test_a_robot_that_cannot_be_seen_to_pause() -> None:
         assert watch.close() is not None, "nor to stop"
 
 
+@pytest.mark.slow
 def test_a_stop_overtakes_a_start_that_is_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
     """The controller takes the start late, when the robot was told to stop already: it stands all the same."""
     asked: list[Order] = []

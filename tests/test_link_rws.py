@@ -75,6 +75,7 @@ def silent(text: str) -> None:
 # ---- all six steps --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("version", [1, 2])
 def test_the_six_steps_against_a_strict_server(version: int) -> None:
     """Upload, load, start, stop, a second program, a second run; then the task is emptied."""
@@ -165,6 +166,7 @@ TASK = "/rw/rapid/tasks/T_ROB1"
 START = "regain=continue&execmode=continue&cycle=once&condition=none&stopatbp=disabled&alltaskbytsp=false"
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("method", "path", "body", "kind", "strict", "lenient"),
     [
@@ -642,6 +644,7 @@ def test_files_over_ftp() -> None:
         Ftp(address, USER, Secret(PASSWORD))
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("fault", "words"),
     [

@@ -113,7 +113,7 @@ def _depth(body: Body, point: np.ndarray) -> float:
     return float(np.linalg.norm(surface.vertices - point, axis=1).min())
 
 
-@pytest.mark.slow(cases=("panda", "xarm7", "irb1200*", "irb1600*", "irb6640"))
+@pytest.mark.slow(keep=("gantry_xy", "irb140", "ur10e"))
 @pytest.mark.parametrize("key", [*SHELLS, "ur5", "panda", "xarm7"])
 def test_surfaces_are_finite_with_unit_normals_that_face_outwards(key: str) -> None:
     for _, _, surface in links(read_robot(ROBOTS / f"{key}.yaml")):
@@ -127,6 +127,7 @@ def test_surfaces_are_finite_with_unit_normals_that_face_outwards(key: str) -> N
         assert area[facing].sum() > 0.97 * area.sum()
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("key", ["ur5", "panda", "xarm7"])
 def test_arms_of_the_package_show_their_meshes(key: str) -> None:
     robot = read_robot(ROBOTS / f"{key}.yaml")
@@ -205,6 +206,7 @@ def test_hulls_and_meshes_are_drawn_as_they_are() -> None:
         assert sorted(map(tuple, np.unique(surface.vertices.round(9), axis=0))) == sorted(map(tuple, corners.round(9)))
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", ["cylinder_logo", "rail_panel", "fibre_bowl"])
 def test_a_view_has_every_body_once(name: str) -> None:
     cell = build_cell(load_problem(name, []))

@@ -226,6 +226,7 @@ def test_two_materials_are_verified_and_the_robot_rests_at_home_for_the_change()
     np.testing.assert_allclose(t.q[during][:, : len(home)], np.tile(home, (during.sum(), 1)), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_events_come_in_order_each_with_its_material() -> None:
     found = [(event.kind, event.bead, event.material) for event in two_materials().trajectory.events]
     assert found == [
@@ -297,6 +298,7 @@ def test_a_prime_of_another_material() -> None:
     assert failed(wrong) == {FED}
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("share", [0.0, 0.9])
 def test_a_change_that_is_given_less_time_than_it_takes(share: float) -> None:
     plan = two_materials()

@@ -101,7 +101,7 @@ def test_bent_facets_are_near_the_ball_that_corners_stand_on(subdivisions: int, 
 # Coarse facets
 
 
-@pytest.mark.slow(keep=("small ball",))
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("corners", "off", "turned"),
     [(ball(0.05, 3), 1e-5, 0.1), (ball(0.02, 3), 5e-6, 0.1), (lying_cylinder(0.04, 0.12, 24), 1.2e-5, 0.15)],

@@ -124,6 +124,7 @@ def down(folder: Path, *overrides: str) -> Problem:
     return problem
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize(
     "far", [[], ["cell.positioner.origin_mm=[4000, 0, 600]"]], ids=["in the print", "out of reach"]
 )

@@ -57,7 +57,7 @@ def test_default_answers_are_accepted_and_solved(
     assert solve(problem, dt=0.01).verified
 
 
-@pytest.mark.slow(keep=("pattern", "mesh"))
+@pytest.mark.slow(keep=("pattern",))
 @pytest.mark.parametrize("what", WHAT)
 def test_every_kind_is_accepted(what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("peer_cap.txt", "planar_box.gcode", "saddle_ring.stl"):
@@ -89,6 +89,7 @@ def test_what_can_be_chosen() -> None:
     assert {*shipped_robots(arms=True), "gantry_xy", "irbp_a250", "track_3m"} == set(robot_names())
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("answers", "said"),
     [
@@ -131,6 +132,7 @@ def test_an_end_of_the_input_writes_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_file_that_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("mine", encoding="utf-8")

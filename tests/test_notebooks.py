@@ -59,7 +59,7 @@ def test_a_notebook_teaches_and_leaves_the_work_to_the_package(name: str) -> Non
             assert len(cell.source.splitlines()) <= 20, cell.source
 
 
-@pytest.mark.slow(keep=("01_quickstart",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_a_notebook_runs(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the repository's own sources, with nothing of the user's settings; it draws something, and writes no file."""

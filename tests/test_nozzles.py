@@ -159,7 +159,7 @@ def test_slack_at_the_tip_is_that_of_the_nozzle_which_lays_the_bead() -> None:
 # --- the plan ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(cases=("one",))
+@pytest.mark.slow
 @pytest.mark.parametrize("mounted", ["together", "one"])
 def test_a_print_with_two_nozzles_is_verified(mounted: str) -> None:
     plan = two_nozzles(mounted)
@@ -168,6 +168,7 @@ def test_a_print_with_two_nozzles_is_verified(mounted: str) -> None:
     assert failed(plan) == set()
 
 
+@pytest.mark.slow
 def test_each_bead_is_laid_by_its_nozzle() -> None:
     plan = two_nozzles()
     t = plan.trajectory
@@ -337,6 +338,7 @@ def test_the_simulator_runs_all_stretches(move: str) -> None:
     assert after > before and np.linalg.norm(tip_after - tip_before) > 0.05  # another tip, the arm at home
 
 
+@pytest.mark.slow
 def test_the_table_and_the_picture_tell_each_nozzle() -> None:
     plan = two_nozzles("one")
     nozzles = json.loads(plan_json(plan))["cell"]["nozzles"]

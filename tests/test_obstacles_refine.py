@@ -93,6 +93,7 @@ def test_refined_paths_keep_clear_of_a_post(
         assert obstacles.margins(path.q, path.task.moments, 1.0)[0].min() > -SLIGHT
 
 
+@pytest.mark.slow
 def test_a_window_looks_from_its_first_sample_that_counts(
     problem: Problem, bare: Cell, toolpath: Toolpath, tasks: tuple[NozzleTask, ...]
 ) -> None:
@@ -174,6 +175,7 @@ def test_the_nozzle_leans_away_from_a_wall(problem: Problem, bare: Cell) -> None
         ladder(bare, [line_task(0.0)], problem.resolve, obstacles)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("free", ["[rotation]", "[tilt, rotation]"])
 def test_what_is_in_the_way_of_every_posture_is_named(free: str) -> None:
     """A nozzle on the normal touches the wall wherever the table is: that is no matter of branches."""
@@ -232,6 +234,7 @@ def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[
     return wall, Task(cell, ends, space, 0.2, obstacles_of(problem, cell, toolpath), 0.0, -1e-4)
 
 
+@pytest.mark.slow
 def test_travel_goes_round_a_post(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]) -> None:
     wall, task = beside_a_wall(problem, bare, toolpath, timed)
     unaware, aware = quickest(replace(task, obstacles=NOTHING)), quickest(task)

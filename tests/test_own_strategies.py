@@ -104,6 +104,7 @@ def test_what_cannot_be_registered_is_said(name: Any, strategy: Any, message: st
 Spoil = Callable[[Sequence[JointPath]], Any]
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -44,6 +44,7 @@ def test_what_a_page_names_exists(paper: str) -> None:
         assert not value or value in known or re.fullmatch(r"\[\]|[\d.]+", value), name
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("paper", list(PAPERS))
 def test_problems_have_the_papers_figures_or_a_reason(paper: str) -> None:
     for figure in PAPERS[paper]():

@@ -119,6 +119,7 @@ def test_a_peer_that_is_missing_is_a_row_with_its_reason(cap: PlanningContext, t
     assert "not installed" in str(row["reason"]) and "make peers" in str(row["reason"])
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("code", "reason"),
     [

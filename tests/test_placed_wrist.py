@@ -70,6 +70,7 @@ def test_lengths_of_public_arms_are_those_of_data_sheets(name: str) -> None:
     np.testing.assert_allclose(read.parameters[:7] * 1e3, ARMS[name].lengths, rtol=0, atol=1e-6)
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", ARMS)
 def test_public_arms_load_and_all_their_branches_are_exact(name: str, tmp_path: Path) -> None:
     robot = robot_from(ARMS[name], tmp_path)

@@ -40,6 +40,7 @@ DRAWN: dict[str, Callable[[Plan, Any], Any]] = {
 }
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", DRAWN)
 def test_each_draws_on_the_axes_it_is_given(name: str, ax: Axes) -> None:
     assert DRAWN[name](small_plan(), ax) is ax and ax.has_data()

@@ -119,7 +119,7 @@ def flange(model: pin.Model, tip: str, q: Array) -> pin.SE3:
 # Placement
 
 
-@pytest.mark.slow(cases=("free0",))
+@pytest.mark.slow(keep=("free2",))
 @pytest.mark.parametrize("free", [JOINTS, ("joint_1", "joint_5", "joint_6"), ()])
 def test_a_second_arm_carries_the_part_as_pinocchio_says(folder: Path, free: tuple[str, ...]) -> None:
     cell = build_cell(problem_of(folder, second_arm(free)))

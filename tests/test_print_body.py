@@ -40,6 +40,7 @@ def test_the_substrate_is_there_from_the_start_and_dense_near_beads(logo: tuple[
     assert (away.min(axis=1) <= reach).all()
 
 
+@pytest.mark.slow
 def test_beads_are_rows_of_balls_that_come_in_print_order(logo: tuple[Toolpath, PrintBody]) -> None:
     toolpath, body = logo
     for i in (0, 41):
@@ -77,6 +78,7 @@ def test_known_by_waypoints_only_the_substrate_lies_under_the_first_layer() -> N
     assert away.max() < bead.width.max()
 
 
+@pytest.mark.slow
 def test_what_stands_on_a_fixed_bed_is_seen_in_the_part_frame() -> None:
     bed = "cell.fixtures={bed: {box_mm: [200, 200, 20], centre_mm: [560, -93, 280]}}"
     problem = load_problem("planar_gcode", [bed])

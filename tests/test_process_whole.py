@@ -139,7 +139,7 @@ def test_a_whole_solve_holds_and_is_written_as_it_is(name: str, dt: float) -> No
     assert {e["kind"] for e in told} == kinds(name)
 
 
-@pytest.mark.slow(cases=("0.004",))
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.004, COARSE])
 def test_a_check_that_fails_says_where_samples_are_coarse(dt: float) -> None:
     plan = solved("plain", dt)
@@ -200,7 +200,7 @@ def test_heating_lasts_as_long_as_it_may() -> None:
     assert compare(plan, read_rapid(rapid(plan))).differences() == []
 
 
-@pytest.mark.slow(keep=("fibre without a wait",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIBRES)
 def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> None:
     plan = solved(name, 0.001)
@@ -222,7 +222,7 @@ def test_fibre_is_cut_at_rest_on_a_line_where_it_ends_at_the_end(name: str) -> N
         assert [each.value for each in program.triggers[at]] == [False]
 
 
-@pytest.mark.slow(cases=("slow prime*",))
+@pytest.mark.slow(cases=("slow prime*", "start-WaitTime*", "fibre-WaitTime*"))
 @pytest.mark.parametrize(
     ("name", "pattern", "change"),
     [

@@ -125,6 +125,7 @@ KINDS = ("track", "tilted", "measured", "lift", "swing", "both", "gantry", "seve
 GIVEN = {"both": (0, 1), "gantry": (0, 1), "seven": (0, 3)}  # joints that are chosen, if not the first alone
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_chain_and_closed_form_are_pinocchios(carried: dict[str, Cell], kind: str) -> None:
     cell = carried[kind]
@@ -316,6 +317,7 @@ def test_a_print_with_rail_and_positioner_is_verified(plan: Plan) -> None:
     assert (at_rail.unit, at_rail.ok) == ("mm", True)
 
 
+@pytest.mark.slow
 def test_sigma_is_that_of_the_arm_without_its_rail(plan: Plan) -> None:
     J = plan.cell.arm.jacobians(np.ascontiguousarray(plan.q[plan.deposit][:, :7]))
     least = np.linalg.svd(J[:, :, 1:], compute_uv=False)[:, -1].min()
@@ -323,6 +325,7 @@ def test_sigma_is_that_of_the_arm_without_its_rail(plan: Plan) -> None:
     assert np.linalg.svd(J, compute_uv=False)[:, -1].min() > least
 
 
+@pytest.mark.slow
 def test_a_rail_beyond_its_end_fails(plan: Plan) -> None:
     """The same motion, on a track that is said to end before it."""
     limits = plan.cell.limits
@@ -334,6 +337,7 @@ def test_a_rail_beyond_its_end_fails(plan: Plan) -> None:
     assert found["joint range"].ok
 
 
+@pytest.mark.slow
 def test_plan_json_says_what_slides_and_its_screws_give_every_pose(plan: Plan) -> None:
     cell = json.loads(plan_json(plan))["cell"]
     assert [joint["type"] for joint in cell["joints"]] == ["prismatic"] + 7 * ["revolute"]
@@ -355,6 +359,7 @@ PROGRAMS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", PROGRAMS)
 def test_programs_say_where_the_rail_is(plan: Plan, language: str) -> None:
     """What is written is read back; a target that has the rail elsewhere is noticed."""
@@ -544,6 +549,7 @@ def test_a_slide_lengthens_what_turns_before_it(tmp_path: Path) -> None:
     assert 1e-3 * bodies.swing(plate)[6] >= np.linalg.norm(b - a)
 
 
+@pytest.mark.slow
 def test_slopes_along_a_path_are_those_of_differences(plan: Plan) -> None:
     """Of joints and of the least singular value, by roll, rotation and rail."""
     model, path = model_of(plan.cell), plan.paths[0]
@@ -574,6 +580,7 @@ def test_slopes_along_a_path_are_those_of_differences(plan: Plan) -> None:
         np.testing.assert_allclose(here.sigma_slope[:, c], (after.sigma - before.sigma) / 2e-5, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_slopes_of_clearance_are_those_of_differences(plan: Plan) -> None:
     """How the nearest distance of anything changes with the rail, and with all other joints."""
     table = obstacles_of(plan.problem, plan.cell, plan.toolpath).table

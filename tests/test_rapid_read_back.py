@@ -139,6 +139,7 @@ def test_any_target_moved_by_a_fifth_of_a_millimetre_is_found(which):
     assert found.path > 0.15e-3 and any(difference.startswith("path") for difference in found.differences())
 
 
+@pytest.mark.slow(keep=8)
 @pytest.mark.parametrize("which", ARCS)
 @pytest.mark.parametrize("pattern", [ARC_VIA, ARC_TARGET], ids=["via", "target"])
 @pytest.mark.parametrize("amount", [0.2, -0.2])
@@ -186,6 +187,7 @@ def test_an_arc_in_place_of_a_line_is_found(which, way):
         assert (found == []) == right and all(difference.startswith("path") for difference in found)
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("pattern", "change", "which", "named"),
     [
@@ -245,6 +247,7 @@ def test_a_wrong_program_is_not_written(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow(keep=9)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

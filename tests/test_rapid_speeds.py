@@ -67,6 +67,7 @@ def test_a_program_as_it_is_written_has_nothing() -> None:
     assert LANGUAGES["rapid"].differences(other, rapid_files(other)) == []
 
 
+@pytest.mark.slow(keep=8)
 @pytest.mark.parametrize("factor", [0.5, 0.97, 1.03, 4.0])
 @pytest.mark.parametrize("column", [1, 2, 3])
 @pytest.mark.parametrize("which", [0, -1])

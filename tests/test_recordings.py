@@ -282,6 +282,7 @@ def test_a_cloud_in_an_array_is_told(tmp_path: Path, name: str) -> None:
         read_log(tmp_path / name, cell_of("peer_cap")[1])
 
 
+@pytest.mark.slow(keep=6)
 @pytest.mark.parametrize("change", SPOILT)
 def test_what_is_no_recording_of_the_program_is_refused(tmp_path: Path, change: str) -> None:
     text, said = _spoilt(change)

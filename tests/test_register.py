@@ -84,7 +84,7 @@ def test_exact_contacts_give_the_exact_placement(tmp_path: Path, name: str, coun
         assert move < 1e-8 and np.abs(turn).max() < 1e-7
 
 
-@pytest.mark.slow(keep=("fibre_bowl-*",))
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count", "still"),
     [
@@ -168,7 +168,7 @@ def here_columns(found, points_q) -> Array:
     return slopes(found.scene.surface, points_q[0])[found.fit.kept]
 
 
-@pytest.mark.slow(cases=("0",))
+@pytest.mark.slow(keep=("1",))
 @pytest.mark.parametrize("seed", range(6))
 def test_wrong_contacts_are_found_and_left_out(tmp_path: Path, seed: int) -> None:
     here, random = scene("fibre_bowl"), np.random.default_rng(seed)
@@ -230,6 +230,7 @@ def test_a_ball_stands_off_the_surface(tmp_path: Path) -> None:
     assert apart(truth, found.fit.placement)[0] < 1e-8
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize(
     ("name", "overrides", "key"),
     [("hemisphere_honeycomb", (), "sphere"), ("cylinder_logo", (), "cylinder")],
@@ -398,7 +399,7 @@ def test_least_squares_settle_what_pollards_equation_found() -> None:
     np.testing.assert_allclose([exact.axis, exact.cylinder], [axis, cylinder], atol=1e-9)
 
 
-@pytest.mark.slow(cases=("cylinder_logo-far*", "cylinder_logo-xyz*"))
+@pytest.mark.slow(cases=("cylinder_logo-*",))
 @pytest.mark.parametrize(
     ("problem", "columns", "words"),
     [
@@ -457,6 +458,7 @@ def test_freedoms_are_named() -> None:
 # What is written
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize("name", shipped_problems())
 def test_a_written_problem_is_the_same_but_for_its_place(tmp_path: Path, name: str) -> None:
     problem = load_problem(name)
@@ -613,6 +615,7 @@ def test_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert main(["missing.csv", "fibre_bowl", "--out", target]) == EXIT_INPUT
 
 
+@pytest.mark.slow
 def test_a_file_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "no.csv"), "fibre_bowl", "--out", str(tmp_path / "n.yaml")]) == EXIT_INPUT
     assert "no.csv" in capsys.readouterr().err

@@ -29,6 +29,7 @@ def read(tmp_path: Path, *lines: str, name: str = "cylinder_logo"):
     return read_readings(file, scene(name).cell)
 
 
+@pytest.mark.slow
 def test_columns_in_any_order_with_names_and_units(tmp_path: Path) -> None:
     rows_ = ["# touched on Monday", "", "Contact; rotation [deg]; Z (mm); y; x_mm; AX; ay; az"]
     readings = read(tmp_path, *rows_, "rim; 90; 3; 2; 1; 0; 0; -2", "", "top;-90;6;5;4;3;0;4")
@@ -145,6 +146,7 @@ def test_contacts_far_from_the_part(tmp_path: Path) -> None:
         register(here, file, Ask())
 
 
+@pytest.mark.slow
 def test_too_few_contacts(tmp_path: Path) -> None:
     here = scene("fibre_bowl")
     with pytest.raises(InputError, match="4 contacts cannot fix 5 freedoms") as caught:

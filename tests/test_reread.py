@@ -177,7 +177,7 @@ def moved(bead: Bead, points: Array) -> Bead:
     return replace(bead, points=points, source=points)
 
 
-@pytest.mark.slow(cases=("mesh",))
+@pytest.mark.slow(cases=("mesh", "ball", "slope", "direction", "pattern", "scan"))
 @pytest.mark.parametrize("name", PRINTS)
 def test_a_true_print_passes_and_is_judged(name: str) -> None:
     findings = found(*print_of(name))
@@ -189,6 +189,7 @@ def test_a_true_print_passes_and_is_judged(name: str) -> None:
         assert {SIZE, PART} <= checks
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", [name for name in PRINTS if name != "wrapped"])
 def test_a_print_turned_by_five_degrees(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -242,6 +243,7 @@ def test_a_wrapped_drawing_turned_mirrored_or_of_another_size() -> None:
         assert PART not in lost
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", [name for name in PRINTS if name not in ("waypoints", "gcode")])
 def test_beads_of_twice_the_height(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -254,6 +256,7 @@ def test_beads_of_twice_the_height(name: str) -> None:
     assert SIZE in lost or name == "slope"  # where heights along the normal are less, they are not the problem's
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", [name for name in PRINTS if name not in ("bowl", "waves")])
 def test_lost_beads_and_layers(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -289,6 +292,7 @@ def test_a_loss_is_excused_only_by_the_note_that_names_it() -> None:
     assert LEFT in failed(found(problem, replace(toolpath, told=Told(left_out=0.5)), none))
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", PRINTS)
 def test_obstacles_thirty_millimetres_too_low(name: str) -> None:
     problem, toolpath = print_of(name)
@@ -297,6 +301,7 @@ def test_obstacles_thirty_millimetres_too_low(name: str) -> None:
     assert failed(found(problem, toolpath, body=low)) == {OBSTACLES}
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", ["ball", "bowl", "waves", "slope", "wrapped", "mesh", "scan", "waypoints", "gcode"])
 def test_a_print_a_millimetre_too_high(name: str) -> None:
     problem, toolpath = print_of(name)

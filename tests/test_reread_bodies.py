@@ -238,7 +238,7 @@ def test_lost_layers_and_beads(name: str) -> None:
         assert failed(found(problem, toolpath, fewer, body)) & lost
 
 
-@pytest.mark.slow(keep=("wing-span_mm: 12-span_mm: 15",))
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "key", "other"),
     [
@@ -328,7 +328,7 @@ def test_a_volume_s_loss_is_excused_only_where_it_is_told() -> None:
     assert FILLED in failed(found(problem, replace(toolpath, told=Told(off=1e-4)), lost, body))
 
 
-@pytest.mark.slow(cases=("0006",))
+@pytest.mark.slow(cases=("0006", "0024"))
 @pytest.mark.parametrize("digits", ["0006", "0024", "2412", "4415", "6309", "9921"])
 def test_naca_sections_are_those_of_the_planner(digits: str) -> None:
     problem, _ = print_of("tapered wing")

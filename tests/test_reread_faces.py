@@ -75,7 +75,7 @@ def print_of(name: str) -> tuple[Problem, Toolpath]:
     return problem, build_toolpath(problem)
 
 
-@pytest.mark.slow(keep=("heights1",))
+@pytest.mark.slow
 @pytest.mark.parametrize("heights", [BENDS_ONCE, BENDS_TWICE])
 def test_normals_between_corners_are_those_of_the_face(tmp_path: Path, heights: tuple[float, ...]) -> None:
     """Where a surface turns back, triangles as flat as it is may be so long that normals between their ends are not its."""

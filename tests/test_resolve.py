@@ -186,6 +186,7 @@ def slow_price(
     return price, q, sigma
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize("holder", ["table", "bed"])
 def test_nodes_against_a_slow_reference(
     holder: str, cell: Cell, tasks: tuple[NozzleTask, ...], drawing_problem: Problem
@@ -462,6 +463,7 @@ def refusal_of(strategy: str, *overrides: str, toolpath: Toolpath) -> Refusal:
     return caught.value
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("strategy", QUICK)
 def test_cylinder_out_of_reach_is_refused_with_place_and_distance(strategy: str, toolpath: Toolpath) -> None:
     near, far = (

@@ -123,6 +123,7 @@ def test_metrics_are_of_what_is_printed_now() -> None:
     assert plan.baseline["as_published"]["beads"] == 2
 
 
+@pytest.mark.slow
 def test_the_extruder_starts_anew_with_the_tool_of_the_first_bead() -> None:
     events = resumed().trajectory.events
     assert [(event.kind, event.bead, event.material) for event in events[:4]] == [
@@ -179,12 +180,14 @@ def _with_bead_across(plan: Plan, height: float) -> Toolpath:
     return replace(toolpath, beads=(bead, *toolpath.beads[1:]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first_bead", [0, FIRST - 1, FIRST + 1])
 def test_a_motion_that_begins_with_another_bead_is_found(first_bead: int) -> None:
     found = failed(resumed(), replace(resumed().trajectory, first_bead=first_bead))
     assert ("every bead complete" if first_bead < FIRST else "beads of the toolpath") in found
 
 
+@pytest.mark.slow
 def test_missing_rest_for_a_change_is_found_and_none_is_asked_for_before_the_first_bead() -> None:
     t = resumed().trajectory
     assert [event.bead for event in t.events if event.kind == "change"] == [BEADS - 1]
@@ -192,6 +195,7 @@ def test_missing_rest_for_a_change_is_found_and_none_is_asked_for_before_the_fir
     assert "rest for a change of material" in failed(resumed(), replace(t, events=events))
 
 
+@pytest.mark.slow
 def test_programs_say_where_they_begin(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = write(resumed(), tmp_path)
     rapid = (tmp_path / "SmallFrom4.mod").read_text()

@@ -40,6 +40,7 @@ def mid_range(one: Robot) -> Array:
     return np.clip(np.zeros(one.model.nq), one.model.lowerPositionLimit, one.model.upperPositionLimit)
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("key", robot_names())
 def test_every_link_has_a_body(key: str) -> None:
     assert all(robot(key).bodies)

@@ -457,6 +457,7 @@ def test_what_was_not_corrected_fails(tmp_path: Path) -> None:
     assert {"nozzle over the print", "layers on the part"} <= failed(spoilt.checks)
 
 
+@pytest.mark.slow
 def test_another_map_fails(tmp_path: Path) -> None:
     plan, problem = solved(), corrected(tmp_path)
     assert problem.as_printed is not None
@@ -507,6 +508,7 @@ def test_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert again.toolpath.length == pytest.approx(drawn()[1].length)
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("change", "options", "said"),
     [

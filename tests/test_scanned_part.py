@@ -90,6 +90,7 @@ def test_a_scan_is_turned_moved_and_enlarged(tmp_path: Path) -> None:
     assert errors(built(tmp_path, keys))[0] < 0.06
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("spoil", "keys", "words"),
     [

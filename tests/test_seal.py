@@ -114,7 +114,7 @@ CHANGES: dict[str, tuple[Change, str]] = {
 }
 
 
-@pytest.mark.slow(keep=("limits", "tool", "times", "toolpath"))
+@pytest.mark.slow(keep=("toolpath",))
 @pytest.mark.parametrize("name", CHANGES)
 def test_a_changed_plan_is_verified_anew(name: str) -> None:
     change, fails = CHANGES[name]

@@ -93,6 +93,7 @@ def swallowed(
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     "what",
     [

@@ -208,6 +208,7 @@ def heard(connection: socket.socket, count: int) -> bytes:
     return data
 
 
+@pytest.mark.slow
 def test_network_of_the_board() -> None:
     with closing(
         BoardServer("127.0.0.1", 0, 100.0, faults_of(["delay@3:0.2", "drop@5"], BOARD_FAULTS), tool=0)
@@ -240,6 +241,7 @@ def test_password_of_the_board() -> None:
         assert heard(one, 1) == b"ok\r\n"
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize(
     "head", ["POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n", "PUT /x HTTP/1.1\r\n", "OPTIONS * HTTP/1.1\r\n"]
 )

@@ -234,6 +234,7 @@ def test_both_motions_tell_the_same_in_the_same_order() -> None:
     assert move == len(program.position) - 1 and np.allclose(tip, program.position[-1], atol=1e-5)
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("answer", "reason"),
     [

@@ -69,6 +69,7 @@ def covered(toolpath: Toolpath) -> shapely.Geometry:
     return shapely.union_all([shapely.LineString(1e3 * bead.points[:, :2]).buffer(0.5 * WIDTH) for bead in first])
 
 
+@pytest.mark.slow(keep=1)
 @pytest.mark.parametrize(("loops", "gap"), [(1, 2.0), (3, 0.0)])
 def test_lines_lie_around_each_part_of_the_first_layer(loops: int, gap: float) -> None:
     toolpath = print_with(f"process.skirt={{loops: {loops}, gap_mm: {gap}}}")[1]
@@ -148,6 +149,7 @@ def lean() -> np.ndarray:
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("how", SPOILT)
 def test_lines_that_lie_elsewhere_fail(how: str) -> None:
     problem, toolpath = print_with("process.skirt={loops: 2}")

@@ -171,6 +171,7 @@ def everything(state: PathState) -> Watch:
     )
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", ["plain", "fast, tilt", "two axes, gravity"])
 def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of(name)
@@ -215,6 +216,7 @@ def test_rows_of_the_program_are_derivatives_of_the_rates(name: str, setup_of: C
     assert (qp.H[columns, 0] > 0.0).all()
 
 
+@pytest.mark.slow(keep=3)
 @pytest.mark.parametrize("name", ["plain", "fast, tilt", "two axes, gravity", "narrow"])
 @pytest.mark.parametrize("floor", [0.1, 0.19])
 def test_program_is_the_price_to_first_order_and_not_below(
@@ -352,6 +354,7 @@ def test_tilt_stays_in_its_cone_though_few_facets_are_watched(setup_of: Callable
 # --- refining ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", SETUPS)
 def test_refining_never_raises_the_price(name: str, setup_of: Callable[[str], Setup]) -> None:
     cell, _, paths = setup_of(name)
@@ -419,6 +422,7 @@ def lean(cell: Cell, path: JointPath, rows: slice = slice(None)) -> tuple[float,
     return float(np.arccos(np.clip(axis, -1, 1)).max()), float(np.arccos(np.clip(normal, -1, 1)).max())
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", SETUPS)
 def test_refined_paths_cost_less_and_keep_every_bound(name: str, setup_of: Callable[[str], Setup]) -> None:
     cell, problem, paths = setup_of(name)
@@ -643,6 +647,7 @@ class Unseen(Obstacles):
         return np.where(near & (away > 0.02), -0.01, enough), np.full(len(q), -1)
 
 
+@pytest.mark.slow
 def test_where_one_place_is_not_clear_the_rest_is_refined(setup_of: Callable[[str], Setup]) -> None:
     cell, problem, paths = setup_of("fast, tilt")
     settings = problem.resolve.model_copy(update={"knot": 1e-3})

@@ -223,6 +223,7 @@ def made_up_tasks(cell: Cell, rng: np.random.Generator, n: int) -> tuple[Array, 
     return T[:, :3, 3].copy(), T[:, :3, :3] @ np.swapaxes(turn, 1, 2), z, q
 
 
+@pytest.mark.slow(keep=2)
 def test_postures_hold_the_task_exactly(any_cell: Cell) -> None:
     rng = np.random.default_rng(3)
     tip, frames, z, q = made_up_tasks(any_cell, rng, 400)
@@ -239,6 +240,7 @@ def test_postures_hold_the_task_exactly(any_cell: Cell) -> None:
     np.testing.assert_allclose(lean, np.hypot(z[:, 1], z[:, 2]), rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow(keep=2)
 def test_slopes_are_finite_differences(any_cell: Cell) -> None:
     na = len(any_cell.arm)
     tip, frames, z, q = made_up_tasks(any_cell, np.random.default_rng(4), 60)

@@ -137,6 +137,7 @@ def test_the_least_radius_is_told_and_held_against_the_limit() -> None:
     assert all(each.name != "steering radius of the fibre" for each in free.checks)
 
 
+@pytest.mark.slow
 def test_a_tow_that_swerves_is_found() -> None:
     """A joint that swings a little along the ring: 0.2 mm aside every 3 mm."""
     plan = laid()

@@ -307,6 +307,7 @@ def test_a_robot_is_guided_through_a_plan() -> None:
     np.testing.assert_allclose(robot.joints() * DEGREES, short().q[-1], atol=0.2 * DEGREES)
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
@@ -583,6 +584,7 @@ def fed(board_faults: tuple[str, ...] = (), robot_faults: tuple[str, ...] = ()) 
     return [g for n, g in accepted if n is not None], [g for n, g in accepted if n is None]
 
 
+@pytest.mark.slow
 def test_robot_and_extruder_are_guided_together() -> None:
     numbered, plain = fed()
     assert numbered[:2] == ["M83", "T0"] and sum(moved_by(numbered)) == pytest.approx(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -88,6 +88,12 @@ def dotted(path: Path) -> str:
 @cache
 def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    """All nodes of a file's tree: walking it takes longer than looking at what is found."""
+    return tuple(ast.walk(tree(path)))
 
 
 def _is_type_checking(test: ast.expr) -> bool:
@@ -218,12 +224,12 @@ def test_what_is_forbidden_is_found() -> None:
         "try:\n    pass\nexcept:\n    pass",
         "try:\n    pass\nexcept (KeyError, Exception):\n    pass",
     ):
-        assert list(_wrong_nodes(ast.parse(text))), text
-    assert not list(_wrong_nodes(ast.parse("import re\nre.compile('x', shell=False)")))
+        assert list(_wrong_nodes(ast.walk(ast.parse(text)))), text
+    assert not list(_wrong_nodes(ast.walk(ast.parse("import re\nre.compile('x', shell=False)"))))
 
 
 def _forbidden_in(path: Path) -> Iterator[str]:
-    yield from _wrong_nodes(tree(path))
+    yield from _wrong_nodes(nodes(path))
     for found in imports_of(path):
         if found.module in NEVER or found.module.split(".")[0] in NEVER:
             yield f"line {found.line}: imports {found.module}"
@@ -234,8 +240,8 @@ def _is_empty_text(arguments: list[ast.expr]) -> bool:
     return len(arguments) == 1 and isinstance(arguments[0], ast.Constant) and arguments[0].value == ""
 
 
-def _wrong_nodes(module: ast.Module) -> Iterator[str]:
-    for node in ast.walk(module):
+def _wrong_nodes(found: Iterable[ast.AST]) -> Iterator[str]:
+    for node in found:
         if isinstance(node, ast.Assert):
             yield f"line {node.lineno}: assert"
         elif isinstance(node, ast.Call):
@@ -262,7 +268,7 @@ def test_nothing_global_is_set_while_running() -> None:
     wrong = [
         f"{dotted(path)}:{node.lineno}"
         for path in FILES
-        for node in ast.walk(tree(path))
+        for node in nodes(path)
         if isinstance(node, (ast.Global, ast.Nonlocal))
     ]
     assert not wrong
@@ -272,7 +278,7 @@ def test_functions_have_few_parameters() -> None:
     """Compiled kernels too: what belongs together is handed over in one tuple."""
     wrong = []
     for path in FILES:
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.FunctionDef):
                 count = len(node.args.posonlyargs) + len(node.args.args) + len(node.args.kwonlyargs)
                 wrong += [f"{dotted(path)}:{node.lineno} {node.name} has {count}"] if count > 12 else []
@@ -282,7 +288,7 @@ def test_functions_have_few_parameters() -> None:
 def test_a_class_has_a_name_of_its_own() -> None:
     where: dict[str, list[str]] = {}
     for path in FILES:
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if isinstance(node, ast.ClassDef):
                 where.setdefault(node.name, []).append(f"{dotted(path)}:{node.lineno}")
     assert not {name: places for name, places in where.items() if len(places) > 1}
@@ -304,7 +310,7 @@ def test_what_is_public_says_what_it_is() -> None:
 def test_dataclasses_are_frozen() -> None:
     wrong = []
     for path in FILES:
-        for node in ast.walk(tree(path)):
+        for node in nodes(path):
             if not isinstance(node, ast.ClassDef):
                 continue
             for decorator in node.decorator_list:

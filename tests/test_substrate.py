@@ -173,6 +173,7 @@ def mesh_of_dome(subdivisions: int = 4) -> FacetTree:
     return FacetTree.of(np.asarray(ball.triangles) + DOME.centre)
 
 
+@pytest.mark.slow
 def test_the_smooth_surface_of_a_mesh_is_calm_and_near() -> None:
     """Facets turn the normal by 3 degrees at a time; the surface turns with the ball that their corners stand on."""
     facets = mesh_of_dome()
@@ -444,7 +445,7 @@ def test_the_command_ends_with_two(tmp_path: Path, capsys: pytest.CaptureFixture
 # Whole prints
 
 
-@pytest.mark.slow(keep=("squares",))
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHAPES[1:])
 def test_patterns_are_solved(name: str) -> None:
     small = ("layers.source.size_mm=[24, 24]", f"layers.source.pattern={name}")

@@ -141,6 +141,7 @@ CURVES = [
 ]
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize(("data", "dense"), CURVES, ids=[data for data, _ in CURVES])
 @pytest.mark.parametrize("flatness", [1e-3, 1e-5])
 def test_curves_stay_within_the_flatness(read: Read, data: str, dense: list[Array], flatness: float) -> None:

@@ -84,6 +84,7 @@ def everything(state: PathState) -> Watch:
     )
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
     "term", [TimeLost(2.0), Effort(0.7), JointLimits(3.0), Singularity(0.5), ConeBounds(), Tilt(2.0), Travel(1.5)],
     ids=lambda term: term.name,

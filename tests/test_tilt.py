@@ -51,6 +51,7 @@ def test_the_lean_is_that_of_the_joints_against_the_cylinder(plan: Plan) -> None
     assert plan.metrics["tilt_bead_error_max_mm"] == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_beads_edge_is_as_far_off_as_the_nozzles_face_is(plan: Plan) -> None:
     # Here the face's rim is looked at point by point: how high it stands above the plane through the tip.
     motion, t = executed_motion(plan.cell, plan.trajectory), plan.trajectory
@@ -64,6 +65,7 @@ def test_a_beads_edge_is_as_far_off_as_the_nozzles_face_is(plan: Plan) -> None:
     np.testing.assert_allclose(found, -heights.min(axis=1), rtol=1e-3, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_wider_bead_is_farther_off_where_it_is_wide(plan: Plan) -> None:
     beads = tuple(replace(bead, width=WIDTH * (1.0 + bead.s / bead.length)) for bead in plan.toolpath.beads)
     found = verify(plan.problem, plan.cell, replace(plan.toolpath, beads=beads), plan.trajectory)

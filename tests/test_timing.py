@@ -292,6 +292,7 @@ def constraints(slopes: Array, bends: Array, a_max: Array, step: float) -> Array
     return np.array(rows)
 
 
+@pytest.mark.slow(keep=8)
 @pytest.mark.parametrize("seed", range(25))
 def test_fastest_profile_against_linear_programming(seed: int) -> None:
     """On tiny grids: it holds every limit, and nowhere can any profile be faster by more than a little.

@@ -38,6 +38,7 @@ def wall(folder: Path, height_mm: float, *overrides: str) -> PlanningContext:
     return context_of(problem, build_cell(problem), build_toolpath(problem))
 
 
+@pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("height_mm", [1.0, 6.0, 13.0])
 def test_a_nozzle_in_the_plate_is_refused_with_the_height_that_clears_it(tmp_path: Path, height_mm: float) -> None:
     given = wall(tmp_path, height_mm)

@@ -325,11 +325,13 @@ def tampered(pattern: str, change: Callable[[re.Match[str]], str], which: int) -
     return differences(arc(), {NAME: changed})
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("which", range(0, 42, 3))
 def test_any_target_of_an_arc_moved_by_a_quarter_of_a_millimetre_is_found(which: int) -> None:
     assert any("path" in difference for difference in tampered(TARGET, shifted(0, 0.25e-3), which))
 
 
+@pytest.mark.slow(keep=5)
 @pytest.mark.parametrize("which", range(0, 42, 3))
 def test_any_target_moved_by_two_millimetres_is_found(which: int) -> None:
     """On the way into a bead, where nothing is laid, paths are not as narrow."""
@@ -344,6 +346,7 @@ def test_any_joint_of_travel_that_was_moved_is_found(which: int, joint: int) -> 
     assert any("joints differ" in difference for difference in tampered(JOINT, shifted(joint, 1e-3), which))
 
 
+@pytest.mark.slow(keep=6)
 @pytest.mark.parametrize(
     ("pattern", "change", "which", "named"),
     [

@@ -176,6 +176,7 @@ def test_joint_too_fast(plan: Plan, share: float, expected: set[str]) -> None:
     assert found == expected
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize(("share", "expected"), [(0.95, set()), (1.05, {"joint acceleration"})])
 def test_joint_accelerates_too_hard(plan: Plan, joint: int, share: float, expected: set[str]) -> None:
@@ -184,6 +185,7 @@ def test_joint_accelerates_too_hard(plan: Plan, joint: int, share: float, expect
     assert failed(plan, paused(plan, len(plan.trajectory) - 1, dq), problem=relaxed) == expected
 
 
+@pytest.mark.slow(keep=4)
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize(("share", "expected"), [(0.95, set()), (1.05, {"joint jerk"})])
 def test_joint_jerks_too_hard(plan: Plan, joint: int, share: float, expected: set[str]) -> None:
@@ -643,7 +645,7 @@ def test_part_that_is_thicker_than_planned(plan: Plan) -> None:
 # --- what is no number -------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(cases=("q-*",))
+@pytest.mark.slow(keep=("*-deposit-nan",))
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
     ("place", "value"), [("deposit", np.nan), ("deposit", np.inf), ("travel", np.nan), ("end", np.nan)]

@@ -56,7 +56,7 @@ def area(plan: Plan) -> float:
 # --- what is right -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(keep=("speed_demand-rounded-0.24634954084936206",))
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("section", "mm2"),
     [("rectangle", 0.3), ("rounded", 0.1 * 0.5 + np.pi * 0.25**2), ("fibre", np.pi * 0.875**2)],
@@ -101,7 +101,7 @@ def varying(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Plan]:
     return solve_it
 
 
-@pytest.mark.slow(keep=("rectangle",))
+@pytest.mark.slow
 @pytest.mark.parametrize("section", ["rectangle", "rounded"])
 def test_measures_that_vary_along_a_bead(varying: Callable[..., Plan], section: str) -> None:
     plan = varying(f"process.bead.section={section}", "process.bead.width_mm=0.9")
@@ -144,6 +144,7 @@ def test_flow_that_pulses_along_the_bead() -> None:
     assert "flow per millimetre" in failed(plan, feed=extruded / area(plan))
 
 
+@pytest.mark.slow
 def test_a_pulse_is_told_with_its_place_and_size() -> None:
     plan = small_plan()
     i = samples(plan, 1)[100]
@@ -247,6 +248,7 @@ def test_fibre_behind_a_cut_is_drawn_and_not_fed() -> None:
     assert np.ptp(t.feed[behind]) < 1e-12
 
 
+@pytest.mark.slow
 def test_fibre_that_is_fed_on_behind_its_cut() -> None:
     plan = with_cuts()
     events = plan.trajectory.events
@@ -268,7 +270,7 @@ def test_fibre_that_is_not_as_long_as_its_bead() -> None:
 # --- lag ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow(keep=("0.05",))
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0.02, 0.05, 0.1])
 def test_flow_that_lags_is_right_outside_of_lag_zones(lag: float) -> None:
     plan = solved(f"process.extruder.lag_s={lag}")
@@ -350,6 +352,7 @@ def test_a_dip_of_a_switched_motor_is_caught() -> None:
     assert "flow per millimetre" in {check.name for check in report(straight, lasts).checks if not check.ok}
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_on_or_off_lays_down_too_much_in_dips() -> None:
     plan = on_off()
     assert plan.verified

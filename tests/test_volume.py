@@ -175,6 +175,7 @@ def test_as_much_is_printed_as_the_ring_holds_times_what_is_filled(infill: float
     assert printed / (whole * MIDDLE) == pytest.approx(share, rel=0.04)
 
 
+@pytest.mark.slow
 def test_every_second_layer_lies_across() -> None:
     def way(layer: int) -> float:
         """The direction in which most of a layer's infill runs, within half a turn [rad]."""

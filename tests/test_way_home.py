@@ -31,6 +31,7 @@ def searched() -> Searched:
     return problem, cell, tasks, *coarse_nodes(cell, tasks, problem.resolve)
 
 
+@pytest.mark.slow
 def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched) -> None:
     problem, cell, tasks, _, nodes = searched
     assert tasks[0].travel_speed == problem.process.travel_speed

@@ -179,6 +179,7 @@ def curve_of(bead: object) -> Array:
     return np.column_stack([x, np.interp(x, *points[keep].T)])
 
 
+@pytest.mark.slow
 def test_halves_meet_at_the_chord_line(toolpath: Toolpath) -> None:
     assert toolpath.layers == 23
     for bead in toolpath.beads:
@@ -265,6 +266,7 @@ def load_text(text: str, *changes: str) -> Problem:
 # Supports
 
 
+@pytest.mark.slow
 def test_level_layers_stand_on_the_bed_and_stay_below_the_curved_ones(supported: Toolpath) -> None:
     level = [bead for bead in supported.beads if bead.layer < 17]
     assert {round(float(z) * 1e6) for bead in level for z in bead.points[:, 2]} == {500 * k for k in range(1, 18)}
@@ -280,6 +282,7 @@ def test_level_layers_stand_on_the_bed_and_stay_below_the_curved_ones(supported:
     assert surface.points[:, 2].min() == pytest.approx(2.7000e-3, abs=1e-6), "the wing's own lower surface"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [20.0, 45.0])
 def test_level_layers_rise_beside_curved_ones_no_steeper_than_these_lean(tilt: float) -> None:
     """So that a nozzle that stands on the rim of a curved layer, and leans with it, meets no wall."""

@@ -168,12 +168,14 @@ def test_layers_lie_at_their_depth_below_the_true_surface(toolpath: Toolpath) ->
     assert len(upper) >= 10
 
 
+@pytest.mark.slow
 def test_beads_stay_within_the_span(toolpath: Toolpath) -> None:
     for bead in toolpath.beads:
         assert bead.points[:, 1].min() >= 0.0
         assert bead.points[:, 1].max() <= SPAN
 
 
+@pytest.mark.slow
 def test_beads_are_smooth_without_loops(toolpath: Toolpath) -> None:
     """No spikes: at the sharpest of the rounded corners, where passes end at slanting edges, two samples turn by 104 deg."""
     for bead in toolpath.beads:
@@ -212,6 +214,7 @@ def test_passes_leave_no_gaps(toolpath: Toolpath) -> None:
     assert looked >= 18
 
 
+@pytest.mark.slow
 def test_types_alternate_and_outer_layers_run_across(toolpath: Toolpath) -> None:
     def runs_across(bead: Bead) -> bool:
         steps = np.abs(np.diff(bead.points, axis=0)).sum(axis=0)
