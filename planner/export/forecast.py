@@ -165,15 +165,20 @@ def _off(
     tip = cell.T_part_nozzle(np.ascontiguousarray(run.q))[:, :3, 3]
     spans, when = laid_spans(played), np.union1d(run.t, played.arrive)  # corners are at targets
     lines = played.at(when).position
-    paths = [lines[(when >= on) & (when <= off)] for on, off in spans]
+    paths = [lines[_within(when, on, off)] for on, off in spans]
     if planned is not None:
         ends = np.flatnonzero(np.diff(np.concatenate([[False], planned.deposit, [False]]).astype(np.int8)))
         paths = [planned.tip[first:end] for first, end in ends.reshape(-1, 2)]
     worst = 0.0
     for (on, off), path in zip(spans, paths, strict=False):
-        executed = tip[(run.t >= on - BESIDE) & (run.t <= off + BESIDE)]
+        executed = tip[_within(run.t, on - BESIDE, off + BESIDE)]
         worst = max(worst, float(distance_to_polyline(path, executed).max(initial=0.0)))
     return worst
+
+
+def _within(t: Array, low: float, high: float) -> slice:
+    """Where increasing times are from low to high, both included."""
+    return slice(int(np.searchsorted(t, low, "left")), int(np.searchsorted(t, high, "right")))
 
 
 def close_moves(played: Played, controller: ControllerLimits) -> Flags:
