@@ -16,12 +16,13 @@ from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.cell import build_cell
 from planner.cell.pieces import MOST_PLANES, convex_pieces, lean_hull
 from planner.cell.robot import read_robot
+from planner.cell.robot_file import read_robot_file
 from planner.cell.solids import Hull
 from planner.cell.urdf import Urdf, model_of, parse_urdf
 from planner.export.support import unsupported_in_rapid
 from planner.problem import load_problem
 from planner.robots import survey as surveying
-from planner.robots.adding import added
+from planner.robots.adding import add_robot, added
 from planner.robots.command import main
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
@@ -193,6 +194,61 @@ def test_a_xacro_file_that_is_wrong_is_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"xacro does not take it.*kr11"):
         added(path, tmp_path / "kr10.yaml")
     assert not (tmp_path / "kr10.yaml").exists()
+
+
+def asking(folder: Path) -> Path:
+    """The same, where the robot's name and the links' prefix are arguments."""
+    path = described(folder)
+    text = (
+        path.read_text(encoding="utf-8")
+        .replace('name="KR 10"', 'name="$(arg name)"')
+        .replace('"a_"', '"$(arg prefix)"')
+    )
+    asked = '<xacro:arg name="name" default="any"/><xacro:arg default="a_" name="prefix"/>'
+    path.write_text(text.replace("<xacro:include", f"{asked}<xacro:include"), encoding="utf-8")
+    return path
+
+
+def test_a_xacro_file_for_many_arms_gets_its_arguments(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    path, support = asking(tmp_path), tmp_path / "arm_support" / "urdf"
+    for name, prefix, beside in (("KR 10", "b_", "kr10_kr_10_b.urdf"), ("KR 11", "c_", "kr10_kr_11_c.urdf")):
+        file, made = added(path, tmp_path / f"{prefix}.yaml", arguments={"name": name, "prefix": prefix})
+        assert made.found.name == name
+        assert read_robot_file(file).urdf().resolve() == (support / beside).resolve()
+        assert f'"{prefix}link_1"' in (support / beside).read_text(encoding="utf-8")
+    again = add_robot(path, tmp_path / "b_.yaml", arguments={"name": "KR 10", "prefix": "b_"})
+    assert again == tmp_path / "b_.yaml"
+    with pytest.raises(OutputError, match="is of another robot"):
+        add_robot(path, tmp_path / "b_.yaml", arguments={"name": "KR 11", "prefix": "c_"})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "Undefined substitution argument name; the file has name, prefix: give them behind it, as in name:=…"),
+        (["name:=k", "prefx:=b_"], "has no argument 'prefx' (did you mean prefix?)"),
+        (["name:=k", "size:=2"], "has no argument 'size' (it has name, prefix)"),
+    ],
+)
+def test_arguments_that_are_missing_or_unknown_are_told(
+    arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("xacrodoc")
+    assert main(["add", str(asking(tmp_path)), *arguments, "--out", str(tmp_path / "kr10.yaml")]) == 2
+    assert told in capsys.readouterr().err
+    assert not (tmp_path / "kr10.yaml").exists()
+
+
+def test_only_xacro_files_have_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, urdf_of(KR10))
+    assert main(["add", str(path), "name:=k", "--out", str(tmp_path / "kr10.yaml")]) == 2
+    assert "only xacro files have arguments (leave them out)" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"arguments\['name'\]"):
+        add_robot(tmp_path / "arm.xacro", tmp_path / "kr10.yaml", arguments={"name": 10})  # type: ignore[dict-item]
+    with pytest.raises(SystemExit):
+        main(["add", str(path), "name=k"])
+    assert "'name=k' is no argument of a xacro file: write name:=value" in capsys.readouterr().err
 
 
 def test_a_missing_urdf(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

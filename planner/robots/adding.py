@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from planner.base.arguments import as_one_of, as_path
@@ -19,6 +21,8 @@ from planner.robots.touching import NOTHING, Touching, touching
 
 if TYPE_CHECKING:
     import pinocchio
+
+NO_ARGUMENTS: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,7 @@ def add_robot(
     tip: str | None = None,
     language: str | None = None,
     bodies: pinocchio.GeometryModel | None = None,
+    arguments: Mapping[str, str] | None = None,
 ) -> Path:
     """Make a robot's file from its URDF and return where it is, for `load(problem, {"cell.arm": ...})`.
 
@@ -46,6 +51,7 @@ def add_robot(
     tip       link of the flange, if it is not found by itself
     language  what its controller is programmed in
     bodies    collision shapes of a model of Pinocchio; without them its links touch nothing
+    arguments of a xacro file, by name
 
     Raises InputError for a URDF that cannot be planned with, and OutputError where files cannot be written.
     """
@@ -62,16 +68,18 @@ def add_robot(
         if bodies is not None:
             raise InputError("a URDF has bodies of its own", field="bodies", hint="leave it out")
         source, fresh = as_path(urdf, "urdf"), False
+        given = _as_arguments(source, arguments or {})
     else:
         from planner.robots.from_model import written_urdf
 
         source, fresh = written_urdf(urdf, bodies, target)
+        given = _as_arguments(source, arguments or {})
     if target is not None and target.exists():
-        if read_robot_file(target).urdf().resolve() != source.with_suffix(".urdf").resolve():
+        if read_robot_file(target).urdf().resolve() != _urdf_of(source, given).resolve():
             raise OutputError(f"{target} is there already, and is of another robot: choose another name")
         return target
     try:
-        return added(source, target, tip, language)[0]
+        return added(source, target, tip, language, given)[0]
     except ImportError as error:
         raise missing_extra(error, source.name) or error from None
     except (InputError, OutputError):
@@ -80,13 +88,19 @@ def add_robot(
         raise
 
 
-def added(urdf: Path, file: Path | None, tip: str | None = None, language: str | None = None) -> tuple[Path, Added]:
+def added(
+    urdf: Path,
+    file: Path | None,
+    tip: str | None = None,
+    language: str | None = None,
+    arguments: Mapping[str, str] = NO_ARGUMENTS,
+) -> tuple[Path, Added]:
     """Write a robot's file from its URDF, named after the robot in this folder if no name is given; returns where.
 
     Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
     nothing is.
     """
-    read, text = _read(urdf)
+    read, text = _read(urdf, _as_arguments(urdf, arguments))
     found = survey(read, tip)
     file = file or Path(f"{key_of(found.name)}.yaml")
     if not file.parent.is_dir():
@@ -96,7 +110,7 @@ def added(urdf: Path, file: Path | None, tip: str | None = None, language: str |
     source = urdf
     if text is not None:
         # beside the xacro file, from where its meshes are found
-        source = urdf.with_suffix(".urdf")
+        source = _urdf_of(urdf, arguments)
         if source.exists() and source.read_text(encoding="utf-8") != text:
             raise OutputError(
                 f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
@@ -117,11 +131,29 @@ def added(urdf: Path, file: Path | None, tip: str | None = None, language: str |
         raise
 
 
-def _read(path: Path) -> tuple[Urdf, str | None]:
+def _as_arguments(path: Path, arguments: Mapping[str, str]) -> Mapping[str, str]:
+    """Arguments of a xacro file. Raises InputError for those of any other."""
+    if arguments and path.suffix != ".xacro":
+        raise InputError("only xacro files have arguments", file=path, field="arguments", hint="leave them out")
+    for name, value in arguments.items():
+        as_one_of(value, str, f"arguments[{name!r}]", "a text, as xacro takes it")
+    return arguments
+
+
+def _urdf_of(path: Path, arguments: Mapping[str, str]) -> Path:
+    """The URDF that a xacro file makes: beside it, so that its meshes are found, and one for each choice of arguments."""
+    if path.suffix != ".xacro":
+        return path.with_suffix(".urdf")
+    name = path.with_suffix("").with_suffix("").name if path.stem.endswith(".urdf") else path.stem
+    chosen = [key_of(value) for value in dict.fromkeys(arguments.values())]
+    return path.with_name("_".join([name, *chosen]) + ".urdf")
+
+
+def _read(path: Path, arguments: Mapping[str, str]) -> tuple[Urdf, str | None]:
     """The URDF, and its text where xacro made it."""
     if path.suffix != ".xacro":
         return read_urdf(path), None
     if not path.is_file():
         raise InputError("there is no such file", file=path)
-    text = expanded(path)
-    return parse_urdf(text.encode(), path.with_suffix(".urdf")), text
+    text = expanded(path, arguments)
+    return parse_urdf(text.encode(), _urdf_of(path, arguments)), text

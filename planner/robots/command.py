@@ -28,6 +28,7 @@ def add_command() -> Command:
         {
             "kr10r1420.urdf": "write kuka_kr10r1420.yaml here, named as the robot in the URDF, and try it",
             "gp25.xacro --out gp25.yaml": "from a xacro file, with the package xacrodoc",
+            "ur.urdf.xacro name:=ur5e ur_type:=ur5e": "from one that asks which arm it is to be",
             "two_arms.urdf --tip left_tool0 --no-print": "one of two arms; no print is planned",
         },
         {
@@ -39,6 +40,13 @@ def add_command() -> Command:
     parser.add_argument(
         "urdf", type=Path, metavar="URDF", help="the URDF, or a xacro file; its meshes stay where they are"
     )
+    parser.add_argument(
+        "arguments",
+        nargs="*",
+        type=_argument,
+        metavar="NAME:=VALUE",
+        help="arguments of a xacro file, as xacro takes them",
+    )
     parser.add_argument("--out", type=yaml_file, metavar="FILE", help="the file to write, my_robot.yaml")
     parser.add_argument("--tip", metavar="LINK", help="the link that is the flange, if it is not found by itself")
     parser.add_argument(
@@ -46,6 +54,13 @@ def add_command() -> Command:
     )
     parser.add_argument("--no-print", action="store_true", help="do not plan a print")
     return parser
+
+
+def _argument(text: str) -> tuple[str, str]:
+    name, given, value = text.partition(":=")
+    if not name or not given:
+        raise argparse.ArgumentTypeError(f"{text!r} is no argument of a xacro file: write name:=value")
+    return name, value
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -60,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _add(options: argparse.Namespace, errors: Console) -> int:
     say = partial(errors.print, markup=False, soft_wrap=True)
-    file, made = added(options.urdf, options.out, options.tip, options.language)
+    file, made = added(options.urdf, options.out, options.tip, options.language, dict(options.arguments))
     for note in (*made.found.notes, *made.touch.notes):
         say(f"  {note}")
     for part in robots_command.details(file, made.robot):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -29,6 +29,8 @@ ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
+_TOLD = 6  # arguments of a xacro file, in a hint
+_ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
 
 
 @dataclass(frozen=True)
@@ -241,19 +243,38 @@ def key_of(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower() or "my_robot"
 
 
-def expanded(path: Path) -> str:
-    """The URDF text that a xacro file makes, packages looked for around it. Raises ImportError without xacrodoc, InputError
-    for what xacro does not take."""
-    from xacro import XacroException  # with xacrodoc, an extra
+def expanded(path: Path, arguments: Mapping[str, str]) -> str:
+    """The URDF text that a xacro file makes with values of its arguments, packages looked for around it. Raises ImportError
+    without xacrodoc, InputError for what xacro does not take and for arguments that the file does not have."""
+    import xacro  # with xacrodoc, an extra
     from xacrodoc import XacroDoc, packages
 
     folder = path.resolve().parent
     while not (folder / "package.xml").is_file() and folder != folder.parent:
         folder = folder.parent
     around = folder.parent if (folder / "package.xml").is_file() else path.resolve().parent
+    before = len(xacro.all_includes)
     try:
         packages.look_in([str(around)])
-        return str(XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string())
-    except (XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
-        words = " ".join(str(error).split())
-        raise InputError("xacro does not take it", file=path, hint=words[:300]) from None
+        made = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+        text = str(made.to_urdf_string())
+    except (xacro.XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
+        words = " ".join(str(error).split())[:300]
+        known = _arguments_in([path]) if path.is_file() else []
+        if "Undefined substitution argument" in words and known:
+            some = ", ".join([*known[:_TOLD], *("…" for _ in known[_TOLD : _TOLD + 1])])
+            words += f"; the file has {some}: give them behind it, as in {known[0]}:=…"
+        raise InputError("xacro does not take it", file=path, hint=words) from None
+    known = _arguments_in([path, *map(Path, xacro.all_includes[before:])])  # xacro passes others over
+    for name in arguments:
+        if name not in known:
+            near = nearest_name(name, known)
+            hint = f"did you mean {near}?" if near else f"it has {', '.join(known) or 'none'}"
+            raise InputError(f"has no argument {name!r}", file=path, hint=hint)
+    return text
+
+
+def _arguments_in(files: Iterable[Path]) -> list[str]:
+    """Names of the arguments that xacro files declare, in order."""
+    found = (re.findall(_ARGUMENT, file.read_text(encoding="utf-8", errors="replace")) for file in files)
+    return list(dict.fromkeys(name for names in found for name in names))
