@@ -24,6 +24,7 @@ NONE = -np.inf
 # Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
 YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
 MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Room.few`
+SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="never")
@@ -225,7 +226,7 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
         )  # fmt: skip
         own = slack[min(max(int(now), 0), len(slack) - 1)] if head_on_part[k] else keep[k, 2]
         solid, rule = SolidNumbers(kind[b], size[b], planes), TipRule(keep[k, 0], keep[k, 1], own)
-        margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, stack)
+        margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, SUNK, stack)
         if found >= 0:
             best, which, point = margin, k, found
             if stop:

@@ -206,12 +206,13 @@ def point_value(p, radius, solid, T_solid_tree, tip, rule):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, stack):
+def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, stack):
     """Least value over the points that are there before time `now` of
 
         distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
 
-    if that is less than `enough` [m]; and the point, in the tree's order, or -1.
+    if that is less than `enough` [m]; and the point, in the tree's order, or -1. Where some are less than
+    -deep, any of these.
 
     tree: `TreeArrays`; solid: `SolidNumbers`; rule: `TipRule`; T_solid_tree (4, 4) takes points of the tree's frame
     into the solid's; tip (3) in the tree's frame [m]; the stack (_DEEP) is room.
@@ -256,6 +257,8 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, stack):
                 value = d - tree_radius[i] - min(clearance, slope * away - slack)
                 if value < best:
                     best, found = value, i
+            if best < -deep:
+                break
             continue
         a, b = left[node], right[node]
         # the nearer child comes first: it is put on top

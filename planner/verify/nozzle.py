@@ -169,7 +169,7 @@ def _here_and_there(tree, solids, way, clearance, slope, stack):
         for k in range(0, len(now), _OFTEN):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
             solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k])
-            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, stack)
+            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, np.inf, stack)
             if value < least:
                 least, where, whose, which = value, k, j, point
     return least, where, whose, which
@@ -327,7 +327,7 @@ def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, stack
     enough = FAR
     if known >= 0 and tree.time[known] < seeing:
         enough = min(FAR, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
-    value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, stack)
+    value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, np.inf, stack)
     return value, known if point < 0 else point
 
 
@@ -344,7 +344,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
     for i in range(1, parts):
         _between(way.rotation[k], way.rotation[k + 1], way.tip[k], way.tip[k + 1], i / parts, R, p)
         _pose(T_solid_nozzle, R, p, T)
-        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, stack)
+        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, np.inf, stack)
         if value < least:
             least, which = value, point
     return least, which
