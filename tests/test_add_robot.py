@@ -82,6 +82,9 @@ def test_a_model_of_pinocchio_moves_as_its_urdf(urdf: Path, tmp_path: Path) -> N
     assert add_robot(model, file, bodies=bodies) == file
     with pytest.raises(OutputError, match="is not of this model"):
         add_robot(model, file)  # without its bodies
+    with pytest.raises(InputError, match="only xacro files have arguments"):
+        add_robot(model, tmp_path / "asked.yaml", arguments={"name": "of_model"})
+    assert not list(tmp_path.glob("asked*"))
 
 
 def test_a_model_with_joints_about_any_axis_and_endless_ones(tmp_path: Path) -> None:

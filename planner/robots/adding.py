@@ -72,8 +72,10 @@ def add_robot(
     else:
         from planner.robots.from_model import written_urdf
 
+        if arguments:
+            raise InputError("only xacro files have arguments", field="arguments", hint="leave them out")
+        given = NO_ARGUMENTS
         source, fresh = written_urdf(urdf, bodies, target)
-        given = _as_arguments(source, arguments or {})
     if target is not None and target.exists():
         if read_robot_file(target).urdf().resolve() != _urdf_of(source, given).resolve():
             raise OutputError(f"{target} is there already, and is of another robot: choose another name")
