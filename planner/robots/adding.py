@@ -68,7 +68,8 @@ def add_robot(
         if bodies is not None:
             raise InputError("a URDF has bodies of its own", field="bodies", hint="leave it out")
         source, fresh = as_path(urdf, "urdf"), False
-        given = _as_arguments(source, arguments or {})
+        given = arguments or NO_ARGUMENTS
+        _check_arguments(source, given)
     else:
         from planner.robots.from_model import written_urdf
 
@@ -102,7 +103,8 @@ def added(
     Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
     nothing is.
     """
-    read, text = _read(urdf, _as_arguments(urdf, arguments))
+    _check_arguments(urdf, arguments)
+    read, text = _read(urdf, arguments)
     found = survey(read, tip)
     file = file or Path(f"{key_of(found.name)}.yaml")
     if not file.parent.is_dir():
@@ -133,22 +135,20 @@ def added(
         raise
 
 
-def _as_arguments(path: Path, arguments: Mapping[str, str]) -> Mapping[str, str]:
-    """Arguments of a xacro file. Raises InputError for those of any other."""
+def _check_arguments(path: Path, arguments: Mapping[str, str]) -> None:
+    """Raise InputError for arguments of any file but a xacro file, and for those that are no texts."""
     if arguments and path.suffix != ".xacro":
         raise InputError("only xacro files have arguments", file=path, field="arguments", hint="leave them out")
     for name, value in arguments.items():
         as_one_of(value, str, f"arguments[{name!r}]", "a text, as xacro takes it")
-    return arguments
 
 
 def _urdf_of(path: Path, arguments: Mapping[str, str]) -> Path:
     """The URDF that a xacro file makes: beside it, so that its meshes are found, and one for each choice of arguments."""
     if path.suffix != ".xacro":
         return path.with_suffix(".urdf")
-    name = path.with_suffix("").with_suffix("").name if path.stem.endswith(".urdf") else path.stem
     chosen = [key_of(value) for value in dict.fromkeys(arguments.values())]
-    return path.with_name("_".join([name, *chosen]) + ".urdf")
+    return path.with_name("_".join([path.stem.removesuffix(".urdf"), *chosen]) + ".urdf")
 
 
 def _read(path: Path, arguments: Mapping[str, str]) -> tuple[Urdf, str | None]:

@@ -274,7 +274,7 @@ class _Rounding(NamedTuple):
         e2 = e[0] * e[0] + e[1] * e[1]
         return _Samples(X, e, e2, self.r2 - e2, _apply(self.third, X))
 
-    def leaves(self, X: Array, least_room: Array) -> bool:
+    def has_room(self, X: Array, least_room: Array) -> bool:
         """Whether samples X all have as much room as that."""
         e = X - self.P
         return bool((self.r2 - (e[0] * e[0] + e[1] * e[1]) >= least_room).all())
@@ -290,7 +290,7 @@ def _line_search(problem: _Rounding, at: _Samples, step: Array, decrement: float
     start, least_room, scale = problem.value(at, barrier), _KEPT_ROOM * at.room, 1.0
     while scale > 1e-6:
         X = at.X + scale * step
-        if problem.leaves(X, least_room):
+        if problem.has_room(X, least_room):
             then = problem.at(X)
             if problem.value(then, barrier) <= start - 0.1 * scale * decrement:
                 return then
