@@ -130,6 +130,18 @@ def test_a_normal_the_other_way_is_one_turned_round(tmp_path: Path, stray: int) 
     assert not found(problem, *moving(points, -line()[1])).checks[0].ok
 
 
+def test_another_bead_says_nothing_of_which_way_a_normal_points(tmp_path: Path) -> None:
+    points, (ahead, aside) = line()[0], np.array([[0.0, 0.8, 0.6], [0.0, -0.9, 0.44]])
+    first, second = points, points + [0.0, 30.0, 0.0]
+    both = np.vstack([first, second])
+    normals = np.vstack([np.tile(ahead, (len(first), 1)), np.tile(aside, (len(second), 1))])
+    problem = problem_of(tmp_path, both, normals)
+    tips, axes = zip(moving(first, normals[: len(first)]), moving(second, normals[len(first) :]), strict=True)
+    bead = np.repeat([0, 1], [len(tips[0]), len(tips[1])])
+    (check,) = found(problem, np.vstack(tips), np.vstack(axes), bead).checks
+    assert check.ok and check.worst < 0.01
+
+
 def test_where_a_corner_is_rounded_normals_may_be_a_mean_of_those_around_it(tmp_path: Path) -> None:
     x = np.arange(0.0, 20.01, 0.5)
     bent = np.radians(np.where(x < 10.0, 0.0, 8.0))  # a roof: at its ridge the normal turns by 8 degrees

@@ -30,6 +30,7 @@ _WIDEST = 25.0  # corner tolerances: half the length of path over which a rounde
 _SAMPLES = 4  # nearest ones of the motion, that a waypoint's own is among where passes cross
 _TO_SI = {"mm": 1e-3, "m": 1.0}
 _OPPOSITE = 180.0  # deg
+_NEXT_BEAD = 3.0  # median steps: a longer one leads to another bead
 _AROUND = 3  # waypoints to either side that say which way a normal points
 _NAME, _METRIC = "axis near the file's normals", "file_normal_max_deg"
 
@@ -47,7 +48,7 @@ def file_normals(judged: Judged) -> Findings:
     if bound == 0.0:
         return Findings()
     points, normals = _as_the_file_says(layers.source)
-    normals = _not_the_other_way(normals)
+    normals = _not_the_other_way(points, normals)
     off, away, at = _off_at_waypoints(judged, points, normals)
     passed = away <= process.corner_tolerance + _PASSED  # crumbs, and beads that are not printed, are elsewhere
     rounded = passed & (away > _PASSED) & (_turns(points) > _CORNER)
@@ -119,14 +120,19 @@ def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Ar
     return best, away, at
 
 
-def _not_the_other_way(normals: Array) -> Array:
-    """Normals (n, 3), single ones turned round that point away from most of those before and after."""
+def _not_the_other_way(points: Array, normals: Array) -> Array:
+    """Normals (n, 3) at points (n, 3), single ones turned round that point away from most of those before and after on the
+    same bead."""
     n = len(normals)
     away, others = np.zeros(n), np.zeros(n)
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    bead = np.concatenate([[0], np.cumsum(step > _NEXT_BEAD * np.median(step))]) if n > 1 else np.zeros(n)
     for k in range(1, min(_AROUND, n - 1) + 1):
-        against = (normals[k:] * normals[:-k]).sum(axis=1) < 0.0
-        away[k:], away[:-k] = away[k:] + against, away[:-k] + against
-        others[k:], others[:-k] = others[k:] + 1.0, others[:-k] + 1.0
+        same = bead[k:] == bead[:-k]
+        against = same & ((normals[k:] * normals[:-k]).sum(axis=1) < 0.0)
+        for at in (slice(k, None), slice(None, -k)):
+            away[at] += against
+            others[at] += same
     return np.where((2.0 * away > others)[:, None], -normals, normals)
 
 
