@@ -11,7 +11,7 @@ from planner.base.compiled import njit
 from planner.cell.solids import BOX, CAPSULE, HULL
 from planner.collision.gjk import solids_distance
 from planner.collision.point_tree import SolidNumbers, TipRule, TreeArrays, nearest_point, solid_distance
-from planner.collision.table import DEEP, workspace_for
+from planner.collision.table import workspace_for
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled: how much clearance a posture has left, between which bodies, and how that changes with the joints.
@@ -24,6 +24,7 @@ NONE = -np.inf
 # Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
 YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
 MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Room.few`
+_DEEPEST = 128  # intervals that wait at once: twice the halvings of as many postures as an index can count
 SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
 
 
@@ -200,7 +201,7 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     ball, frame, T_frame_solid = table.ball, table.frame, table.T_frame_solid
     kind, size, planes, tip, arm = table.kind, table.size, table.planes, table.tip, table.arm
     middle, frames, pose, known = room.middle, room.frames, room.pose, room.known
-    few, into, stack = room.few, room.T_solid_tree, room.stack
+    few, into = room.few, room.T_solid_tree
     best, which, point = enough, -1, -1
     for k in range(begin, end):
         if not (on_part if head_on_part[k] else off_part):
@@ -226,7 +227,7 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
         )  # fmt: skip
         own = slack[min(max(int(now), 0), len(slack) - 1)] if head_on_part[k] else keep[k, 2]
         solid, rule = SolidNumbers(kind[b], size[b], planes), TipRule(keep[k, 0], keep[k, 1], own)
-        margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, SUNK, stack)
+        margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, SUNK, room.search)
         if found >= 0:
             best, which, point = margin, k, found
             if stop:
@@ -461,8 +462,8 @@ def hit_along(table, q, gone, now, allowed, enough):
     right, which = least_margin(table, room, q, last, now, enough, 0.0)
     if right < allowed:
         return which
-    begin, end = np.empty(DEEP, dtype=np.int64), np.empty(DEEP, dtype=np.int64)
-    before, after = np.empty(DEEP), np.empty(DEEP)
+    begin, end = np.empty(_DEEPEST, dtype=np.int64), np.empty(_DEEPEST, dtype=np.int64)
+    before, after = np.empty(_DEEPEST), np.empty(_DEEPEST)
     begin[0], end[0], before[0], after[0] = 0, last, margin, right
     waiting = 1
     while waiting:

@@ -55,6 +55,13 @@ class TipRule(NamedTuple):
     slack: float
 
 
+class SearchRoom(NamedTuple):
+    """Room for the nodes that wait in a search, and the least values that their points may have [m]."""
+
+    nodes: Ints
+    lows: Array
+
+
 @dataclass(frozen=True)
 class PointTree(ReadOnlyArrays):
     """A tree over n points; build it with `point_tree`.
@@ -206,7 +213,7 @@ def point_value(p, radius, solid, T_solid_tree, tip, rule):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, stack):
+def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room):
     """Least value over the points that are there before time `now` of
 
         distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
@@ -215,84 +222,76 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, stack
     -deep, any of these.
 
     tree: `TreeArrays`; solid: `SolidNumbers`; rule: `TipRule`; T_solid_tree (4, 4) takes points of the tree's frame
-    into the solid's; tip (3) in the tree's frame [m]; the stack (_DEEP) is room.
+    into the solid's; tip (3) in the tree's frame [m]; room: `SearchRoom`.
     """
     # into names of their own: to count who refers to a field costs more than the arithmetic
-    tree_points, tree_radius, tree_time = tree.points, tree.radius, tree.time
-    centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
+    points, radius, time, since = tree.points, tree.radius, tree.time, tree.since
+    centre, reach, left, right = tree.centre, tree.reach, tree.left, tree.right
     kind, size, planes = solid.kind, solid.size, solid.planes
     clearance, slope, slack = rule.clearance, rule.slope, rule.slack
-    best, found = enough, -1
-    T = T_solid_tree
-    waiting = 1
-    stack[0] = 0
+    nodes, lows = room.nodes, room.lows
+    best, found, T = enough, -1, T_solid_tree
+    nodes[0], lows[0], waiting = 0, -np.inf, 1
     while waiting:
         waiting -= 1
-        node = stack[waiting]
-        if since[node] >= now:
-            continue
-        cx, cy, cz = centre[node, 0], centre[node, 1], centre[node, 2]
-        away = np.sqrt((cx - tip[0]) ** 2 + (cy - tip[1]) ** 2 + (cz - tip[2]) ** 2)
-        most = min(clearance, slope * (away + reach[node]) - slack)
-        d = solid_distance(
-            kind, size, planes,
-            T[0, 0] * cx + T[0, 1] * cy + T[0, 2] * cz + T[0, 3],
-            T[1, 0] * cx + T[1, 1] * cy + T[1, 2] * cz + T[1, 3],
-            T[2, 0] * cx + T[2, 1] * cy + T[2, 2] * cz + T[2, 3],
-        )  # fmt: skip
-        if d - reach[node] - most >= best:
+        node = nodes[waiting]
+        if lows[waiting] >= best:
             continue
         if left[node] < 0:
             for i in range(-1 - left[node], -1 - left[node] + right[node]):
-                if tree_time[i] >= now:
+                if time[i] >= now:
                     continue
-                x, y, z = tree_points[i, 0], tree_points[i, 1], tree_points[i, 2]
-                d = solid_distance(
-                    kind, size, planes,
-                    T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
-                    T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
-                    T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
-                )  # fmt: skip
-                away = np.sqrt((x - tip[0]) ** 2 + (y - tip[1]) ** 2 + (z - tip[2]) ** 2)
-                value = d - tree_radius[i] - min(clearance, slope * away - slack)
+                away, d = _between(points, i, tip), _apart(points, i, kind, size, planes, T)
+                value = d - radius[i] - min(clearance, slope * away - slack)
                 if value < best:
                     best, found = value, i
             if best < -deep:
                 break
             continue
-        a, b = left[node], right[node]
-        # the nearer child comes first: it is put on top
-        da = (centre[a, 0] - tip[0]) ** 2 + (centre[a, 1] - tip[1]) ** 2 + (centre[a, 2] - tip[2]) ** 2
-        db = (centre[b, 0] - tip[0]) ** 2 + (centre[b, 1] - tip[1]) ** 2 + (centre[b, 2] - tip[2]) ** 2
-        stack[waiting], stack[waiting + 1] = (b, a) if da <= db else (a, b)
-        waiting += 2
+        first, before = waiting, np.inf
+        for k in range(2):
+            child = left[node] if k == 0 else right[node]
+            if since[child] >= now:
+                continue
+            away, d = _between(centre, child, tip), _apart(centre, child, kind, size, planes, T)
+            low = d - reach[child] - min(clearance, slope * (away + reach[child]) - slack)
+            if low >= best:
+                continue
+            nodes[waiting], lows[waiting] = child, low
+            middle = d - min(clearance, slope * away - slack)
+            # the one whose middle is nearer, or deeper, comes first: it is put on top
+            if waiting > first and before < middle:
+                nodes[first], nodes[waiting] = nodes[waiting], nodes[first]
+                lows[first], lows[waiting] = lows[waiting], lows[first]
+            before = middle
+            waiting += 1
     return best, found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def least_distances(tree, solid, T_solid_tree, now, exact, most, share, stack, distance, point) -> None:
+def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, distance, point) -> None:
     """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
     and the points (n) that have them, or -1; beyond `exact` any that is about as far.
 
     A distance beyond `exact` may be too small, and is `share` of the true one or more: of many points that are about as
     far, none is then looked for that is a little nearer. A search begins with the point that was nearest before.
 
-    tree: `TreeArrays`; solid: `SolidNumbers`; the stack (_DEEP) is room.
+    tree: `TreeArrays`; solid: `SolidNumbers`; room: `SearchRoom`.
     """
     points, radius, time = tree.points, tree.radius, tree.time
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
     kind, size, planes = solid.kind, solid.size, solid.planes
-    known, lows = -1, np.empty(len(stack))  # of the nodes on the stack
+    nodes, lows, known = room.nodes, room.lows, -1
     for i in range(len(now)):
         T, best, found, passed = T_solid_tree[i], most, -1, np.inf
         if known >= 0 and time[known] < now[i]:
-            best, found = _apart(points[known], kind, size, planes, T) - radius[known], known
+            best, found = _apart(points, known, kind, size, planes, T) - radius[known], known
             if best >= most:
                 best, found = most, -1
-        stack[0], lows[0], waiting = 0, -np.inf, 1
+        nodes[0], lows[0], waiting = 0, -np.inf, 1
         while waiting:
             waiting -= 1
-            node, low = stack[waiting], lows[waiting]
+            node, low = nodes[waiting], lows[waiting]
             if since[node] >= now[i] or low >= best:
                 continue
             if low >= exact and low >= share * best:
@@ -301,33 +300,41 @@ def least_distances(tree, solid, T_solid_tree, now, exact, most, share, stack, d
             if left[node] < 0:
                 for k in range(-1 - left[node], -1 - left[node] + right[node]):
                     if time[k] < now[i]:
-                        value = _apart(points[k], kind, size, planes, T) - radius[k]
+                        value = _apart(points, k, kind, size, planes, T) - radius[k]
                         if value < best:
                             best, found = value, k
                 continue
             a, b = left[node], right[node]
-            low_a = _apart(centre[a], kind, size, planes, T) - reach[a]
-            low_b = _apart(centre[b], kind, size, planes, T) - reach[b]
+            low_a = _apart(centre, a, kind, size, planes, T) - reach[a]
+            low_b = _apart(centre, b, kind, size, planes, T) - reach[b]
             if low_a > low_b:  # the nearer child comes first: it is put on top
                 a, b, low_a, low_b = b, a, low_b, low_a
-            stack[waiting], lows[waiting] = b, low_b
-            stack[waiting + 1], lows[waiting + 1] = a, low_a
+            nodes[waiting], lows[waiting] = b, low_b
+            nodes[waiting + 1], lows[waiting + 1] = a, low_a
             waiting += 2
         distance[i], point[i] = min(best, passed), found
         known = found if found >= 0 else known
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _apart(p, kind, size, planes, T):
-    """Signed distance of a point p (3) from a solid in whose frame it is brought by T (4, 4)."""
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _apart(points, i, kind, size, planes, T):
+    """Signed distance of a point, i of (n, 3), from a solid in whose frame it is brought by T (4, 4)."""
+    x, y, z = points[i, 0], points[i, 1], points[i, 2]
     return solid_distance(
         kind, size, planes,
-        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
-        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
-        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
+        T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3],
+        T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
+        T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
     )  # fmt: skip
 
 
-def search_room() -> Ints:
-    """Room that `nearest_point` needs for its search; one for each thread."""
-    return np.empty(_DEEP, dtype=np.int64)
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _between(points, i, p):
+    """Distance of a point, i of (n, 3), from p (3)."""
+    return np.sqrt((points[i, 0] - p[0]) ** 2 + (points[i, 1] - p[1]) ** 2 + (points[i, 2] - p[2]) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def search_room():
+    """Room that a search needs; one for each thread."""
+    return SearchRoom(np.empty(_DEEP, dtype=np.int64), np.empty(_DEEP))

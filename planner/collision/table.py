@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints, read_only
 from planner.base.compiled import njit
-
-DEEP = 128  # nodes of a tree that wait at once, see `search_room`
+from planner.collision.point_tree import SearchRoom, search_room
 
 
 class Table(NamedTuple):
@@ -82,7 +81,7 @@ class Workspace(NamedTuple):
     simplex: Array
     few: Array
     T_solid_tree: Array
-    stack: Ints
+    search: SearchRoom
     last: Ints
 
 
@@ -100,5 +99,5 @@ def workspace_for(table):
     into[3, 3] = 1.0
     return Workspace(
         frames, np.zeros((nj, 6)), np.zeros((b, 3)), pose, np.zeros(b, dtype=np.bool_), np.ones((len(table.pair), 3)),
-        np.zeros((4, 9)), np.zeros((4, 3)), into, np.zeros(DEEP, dtype=np.int64), np.zeros(1, dtype=np.int64),
+        np.zeros((4, 9)), np.zeros((4, 3)), into, search_room(), np.zeros(1, dtype=np.int64),
     )  # fmt: skip

@@ -90,20 +90,20 @@ class BlockRoom(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def least_along(tree, solids, way, clearance, slope, stack):
+def least_along(tree, solids, way, clearance, slope, search):
     """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
 
     Block by block of samples: every point that could matter in it is followed through it by itself.
 
-    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; the stack is room.
+    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; search: `SearchRoom`.
     """
     points, radius, time = tree.points, tree.radius, tree.time
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
     now, slack, ahead = way.now, way.slack, way.ahead
-    n = len(now)
-    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, stack)
+    n, nodes = len(now), search.nodes
+    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
     poses = np.empty((_OFTEN + 1, 4, 4))
     room = BlockRoom(poses, np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2)))
     for j in range(len(kind)):
@@ -118,10 +118,10 @@ def least_along(tree, solids, way, clearance, slope, stack):
             _pose(T_solid_frame[j], rotation[c], p, T)
             gone = max(path[c] - path[a], path[b] - path[c])
             turn = max(turned[c] - turned[a], turned[b] - turned[c])
-            waiting, stack[0] = 1, 0
+            waiting, nodes[0] = 1, 0
             while waiting:
                 waiting -= 1
-                node = stack[waiting]
+                node = nodes[waiting]
                 if since[node] >= seeing:
                     continue
                 x, y, z = centre[node, 0], centre[node, 1], centre[node, 2]
@@ -137,7 +137,7 @@ def least_along(tree, solids, way, clearance, slope, stack):
                 if d - reach[node] - most - moved >= least - TOLERANCE:
                     continue
                 if left[node] >= 0:
-                    stack[waiting], stack[waiting + 1] = left[node], right[node]
+                    nodes[waiting], nodes[waiting + 1] = left[node], right[node]
                     waiting += 2
                     continue
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
@@ -159,7 +159,7 @@ def least_along(tree, solids, way, clearance, slope, stack):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _here_and_there(tree, solids, way, clearance, slope, stack):
+def _here_and_there(tree, solids, way, clearance, slope, search):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, now, slack, ahead = way.tip, way.rotation, way.now, way.slack, way.ahead
@@ -169,7 +169,7 @@ def _here_and_there(tree, solids, way, clearance, slope, stack):
         for k in range(0, len(now), _OFTEN):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
             solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k])
-            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, np.inf, stack)
+            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, np.inf, search)
             if value < least:
                 least, where, whose, which = value, k, j, point
     return least, where, whose, which
@@ -251,7 +251,7 @@ def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both,
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def margins_along(tree, solids, way, clearance, slope, margin, stack):
+def margins_along(tree, solids, way, clearance, slope, margin, search):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
     The slope is so steep that only points beyond the tip's zone count, slack / slope away. The least that these have to
@@ -261,13 +261,13 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
     """
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     path, turned, n = way.path, way.turned, len(way.now)
-    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, stack)
+    least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
     samples, values = np.empty(_OFTEN + 1, np.int64), np.empty(_OFTEN + 1)  # looks ahead, the nearest one on top
     for j in range(len(kind)):
         solid, own, c = SolidNumbers(kind[j], size[j], planes), T_solid_frame[j], solids.centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + solids.reach[j]
         k, known, waiting = _ZERO, -1, 0
-        value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, stack)
+        value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, search)
         margin[0] = min(margin[0], value)
         if value < least:
             least, where, whose, which = value, k, j, known
@@ -281,7 +281,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
                 look = (k + ahead) // 2 if 0.5 * (value + far - moved) < target else k
             if look > k:
                 samples[waiting] = look
-                values[waiting], known = _look_at(tree, solid, own, way, clearance, slope, look, known, stack)
+                values[waiting], known = _look_at(tree, solid, own, way, clearance, slope, look, known, search)
                 if values[waiting] < least:
                     least, where, whose, which = values[waiting], look, j, known
                 waiting += 1
@@ -289,7 +289,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, stack):
             if ahead == k + 1 and 0.5 * (value + far - moved) < target:
                 rule = TipRule(clearance, slope, way.slack[ahead])
                 inside, found = _look_between(
-                    tree, solid, own, way, rule, k, 0.5 * (value + far), 0.5 * moved, target, stack
+                    tree, solid, own, way, rule, k, 0.5 * (value + far), 0.5 * moved, target, search
                 )
                 if found >= 0:
                     least, where, whose, which = inside, ahead, j, found
@@ -320,19 +320,19 @@ def _next_look(way, k, spare, arm, slope):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, stack):
+def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, search):
     """The margin of a body at sample k, FAR at most, and its point; the search begins with the known one, or with -1."""
     T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.now[way.ahead[k]]
     _pose(T_solid_nozzle, way.rotation[k], way.tip[k], T)
     enough = FAR
     if known >= 0 and tree.time[known] < seeing:
         enough = min(FAR, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
-    value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, np.inf, stack)
+    value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, np.inf, search)
     return value, known if point < 0 else point
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, stack):
+def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, search):
     """The least margin of a body between samples k and k + 1, if it is less than the target, and its point, or -1.
 
     mean: of the margins at both; fall: how far below it the margin may be in between [m]
@@ -344,7 +344,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
     for i in range(1, parts):
         _between(way.rotation[k], way.rotation[k + 1], way.tip[k], way.tip[k + 1], i / parts, R, p)
         _pose(T_solid_nozzle, R, p, T)
-        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, np.inf, stack)
+        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, np.inf, search)
         if value < least:
             least, which = value, point
     return least, which
