@@ -18,7 +18,7 @@ from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel.clearance import travel_clearance
 from planner.motion.travel.detours import around
-from planner.motion.travel.plan import Task, no_way, quickest
+from planner.motion.travel.plan import Task, no_way, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
@@ -29,6 +29,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import Cones, NozzleTask, tasks_of
 
+ASIDE = [0.0, 0.5, 0.0]  # m
 SLIGHT = 2e-4  # m: what may lack between the instants that are looked at
 
 
@@ -245,6 +246,34 @@ def test_travel_goes_round_a_post(problem: Problem, bare: Cell, toolpath: Toolpa
     q = aware.joints(np.linspace(0.0, aware.duration, 3000))
     assert task.obstacles.margins(q, np.zeros(3000), 1.0)[0].min() > -SLIGHT
     assert np.allclose(aware.end.q, unaware.end.q)
+
+
+def test_a_travel_keeps_all_of_its_clearance(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
+) -> None:
+    """A ball beside the quickest way from home lacks half of what was once passed over."""
+
+    def way_beside(radius: float) -> tuple[Cubics, float]:
+        ball = Body("ball", Capsule(radius, 0.0), at(middle + ASIDE))
+        cell = replace(bare, fixtures=(ball,))
+        obstacles = obstacles_of(problem, cell, toolpath)
+        (motion,) = plan_travels(cell, timed, toolpath, problem.process, [0], obstacles)
+        assert isinstance(motion, Cubics)
+        q = motion.joints(np.linspace(0.2, 0.8, 10_000) * motion.duration)  # the part is near at its end
+        return motion, float(obstacles.margins(q, np.zeros(len(q)), 1.0)[0].min())
+
+    (free,) = plan_travels(bare, timed, toolpath, problem.process, [0])
+    assert isinstance(free, Cubics)
+    middle = head_at(bare, free.joints(np.array([0.5 * free.duration]))[0])
+    point = Body("ball", Capsule(1e-3, 0.0), at(middle + ASIDE))
+    distance = least(replace(bare, fixtures=(point,)), point, along(free))
+    radius = 1e-3 + distance - max(problem.collision.nozzle, problem.collision.arm) - 1e-3
+    beside, room = way_beside(radius)
+    assert np.array_equal(beside.coefficients, free.coefficients)
+    assert 0.0 < room < 7e-3
+    away, left = way_beside(radius + room + 5e-5)
+    assert left >= 0.0
+    assert away.duration >= free.duration
 
 
 def test_a_refusal_of_travel_names_the_bodies(

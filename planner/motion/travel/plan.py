@@ -32,7 +32,8 @@ from planner.toolpath.runs import least_travel_time
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
 LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
-_SLIGHT = 1e-4  # m of clearance that a travel may lack, since it is looked at in steps
+_SPARE = 2e-5  # m more than its clearance that a travel keeps, since it is looked at in steps
+_SLIGHT = 1e-4  # m of clearance that it may lack where there is no other, as beside an end that has just enough
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
 _AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
 _SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
@@ -42,6 +43,7 @@ _ROUNDING = 1e-6  # s that a travel lasts longer than it has to
 _LIMIT_ROUNDING = 1e-9  # of a limit
 _PLACES = 31  # along the normal, that the tip keeps to
 _LEAST = 1e-6  # m: a lower lift is none
+_ROUNDED = 1e-9  # m of clearance, for rounding
 # Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
 _REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
 NO_WAITS: Mapping[int, float] = MappingProxyType({})
@@ -52,8 +54,8 @@ _LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
 class Task:
     """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s].
 
-    obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much of their
-                     clearance they must keep [m]: all of it, unless an end of the travel itself lacks some
+    obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much more than
+                     their clearance they keep [m]: less than none where an end of the travel itself lacks some
     """
 
     cell: Cell
@@ -126,10 +128,13 @@ def plan_travels(
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, start, end)
         ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
         find = upright if process.travels_upright else with_time
-        margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), 0.0)
-        margin = float(margins.min(initial=0.0)) - _SLIGHT
-        task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), margin)
+        margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), _SPARE)
+        least = float(margins.min(initial=_SPARE))
+        task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), least - _ROUNDED)
         motion = find(task)
+        if motion is None and obstacles.any:
+            task = replace(task, margin=min(least, 0.0) - _SLIGHT)
+            motion = find(task)
         if motion is None:
             beside = leave if reach is None else reach
             raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
