@@ -104,11 +104,13 @@ def test_more_samples_are_tried_while_they_help(
         patch.setattr(pipeline, "with_finer_samples", lambda *_: None)
         plan = solve(problem, baseline=False)
     report = pipeline.verify(problem, given.cell, toolpath, plan.trajectory)
-    assert 1.0 < worst_off(report) < 2.0
+    off = worst_off(plan.trajectory, report)
+    assert len(off) == 1 and 1.0 < off[0] < 2.0
     finer = with_finer_samples(given, plan.trajectory, report)
     assert finer is not None
     assert finer.toolpath.notes[-1].startswith("1 of 1 beads sampled more finely")
-    assert with_finer_samples(given, plan.trajectory, report, before=1.1 * worst_off(report)) is None
+    assert with_finer_samples(given, plan.trajectory, report, before=1.1 * off) is None
+    assert with_finer_samples(given, plan.trajectory, report, before=np.array([1.1 * off[0], 1.1])) is not None
     far = replace(report, series=report.series | {"off_the_path": 600.0 * report.series["off_the_path"]})
     assert with_finer_samples(given, plan.trajectory, far) is None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.plan import Trajectory
 from planner.planning.context import PlanningContext, context_of
 from planner.toolpath.finer import sampled_finer
@@ -12,31 +13,37 @@ from planner.verify.verdict import ON_PATH, Report
 ROUNDS = 3  # of sampling finer and planning again
 _NEAR = 0.7  # share of a tolerance from which on a place is sampled finer, in the beads that exceed it
 _MOST = 400.0  # tolerances: what is off by more is off at the samples, too; 90 were, where normals turn by 17 deg between two
-_BETTER = 0.7  # times as far off a plan must be as the one on fewer samples, for still more of them
+_BETTER = 0.7  # times as far off the worst bead must be, or as many be off, as on fewer samples, for still more of them
 
 
-def worst_off(report: Report) -> float:
-    """How far a plan is off its path or the normal, in tolerances."""
-    return float(report.series["off_the_path"].max(initial=0.0))
+def worst_off(trajectory: Trajectory, report: Report) -> Array:
+    """How far a plan is off its path or the normal in each bead (n), in tolerances; n: up to the last bead that is."""
+    off = np.zeros(int(trajectory.bead.max(initial=-1)) + 1)
+    printed = trajectory.bead >= 0
+    np.maximum.at(off, trajectory.bead[printed], report.series["off_the_path"][printed])
+    return off
 
 
 def with_finer_samples(
-    given: PlanningContext, trajectory: Trajectory, report: Report, before: float = np.inf
+    given: PlanningContext, trajectory: Trajectory, report: Report, before: Array | None = None
 ) -> PlanningContext | None:
     """The same print with more samples where a plan of it is off the path or the normal.
 
-    None if any other check fails too, or if more samples would not help: the plan is far off, or hardly less so than the
-    one on fewer samples (`before`, in tolerances).
+    None if any other check fails too, or if more samples would not help: a bead is far off, or hardly fewer beads are, and
+    hardly less so, than on fewer samples (`before` (beads), in tolerances).
     """
     failed = {check.name for check in report.checks if not check.ok}
-    off = report.series["off_the_path"]
-    if not failed or not failed <= ON_PATH or worst_off(report) > min(_MOST, _BETTER * before):
+    if not failed or not failed <= ON_PATH:
+        return None
+    off = worst_off(trajectory, report)
+    beyond = np.flatnonzero(off > 1.0)
+    if not len(beyond) or off.max() > _MOST:
+        return None
+    if before is not None and len(beyond) > _BETTER * (before > 1.0).sum() and off.max() > _BETTER * before.max():
         return None
     places = {}
-    for bead in np.unique(trajectory.bead[off > 1.0]):
-        at = np.flatnonzero((trajectory.bead == bead) & (off > _NEAR))
-        places[int(bead)] = trajectory.s[at]
-    if not places:
-        return None
+    for bead in beyond.tolist():
+        at = np.flatnonzero((trajectory.bead == bead) & (report.series["off_the_path"] > _NEAR))
+        places[bead] = trajectory.s[at]
     toolpath = sampled_finer(given.toolpath, places)
     return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)

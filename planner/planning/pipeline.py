@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
+from planner.base.arrays import Array
 from planner.base.distribution import Spread
 from planner.base.errors import Blocked, InputError, Refusal, nearest_name
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
@@ -405,14 +406,14 @@ def _planned(
     shared: bool,
     over: Spread | None = None,
     rounds: int = ROUNDS,
-    off: float = np.inf,
+    off: Array | None = None,
 ) -> Planned:
     """The plan of a strategy, of the default one the best of all strategies'. Raises Refusal.
 
     Samples and strategy are decided on the whole print, also where the rest of it is resumed. Where a plan is off its path
     between samples, these are set finer and all is planned again, in so many rounds at most.
 
-    off: how far the plan of the round before is off, in tolerances
+    off (beads): how far the plan of the round before is off, in tolerances
     """
     others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
 
@@ -444,7 +445,8 @@ def _planned(
         finer = with_finer_samples(given, own.trajectory, own.report, off)
         if finer is not None:
             try:  # other processes know the samples as they were drawn, so nothing is spread over them
-                again = _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1, off=worst_off(own.report))
+                before = worst_off(own.trajectory, own.report)
+                again = _planned(strategy, finer, dt, stages, shared, rounds=rounds - 1, off=before)
             except Refusal:
                 again = None
             if again is not None and again[1].verified:
