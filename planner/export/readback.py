@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import InputError
@@ -100,6 +101,7 @@ LEVER = 0.05  # [m/rad]: turning counts as path where the tip stands still
 WINDOWS = (6, 64)  # samples to either side within which a target's own sample is sought, the second if need be
 FOUND = 1e-6  # m, between a target and its sample: the right one, be it at the edge of its window
 ASTRAY = 4e-5  # m: beyond, the whole piece is searched; targets beside the path are nearer, with angle and lever
+ROUNDED_UP = 1.0 + 1e-9
 BORDER = 0.01  # rad of a joint from the end of a quarter turn, within which a target beside the path may be beyond it
 BLOCK = 200_000  # samples looked at, and
 PIECES = 64  # pieces compared at once: bounds the memory
@@ -465,27 +467,40 @@ def _own_samples(written_poses: _PosesAlong, samples: _PosesAlong, targets: Indi
     least, most = np.repeat(cuts[:-1], counts), np.repeat(cuts[1:], counts)
     centre = np.clip(np.searchsorted(planned, guess), least, most)
 
-    def nearest(i: Indices, near: Indices) -> tuple[Indices, Array]:
-        gap = tip[near] - position[i, None]
-        cost = np.sqrt(np.einsum("ijk,ijk->ij", gap, gap))
-        same = np.minimum(np.abs(np.einsum("ijk,ik->ij", sample_quat[near], quat[i])), 1.0)
+    def costs(i: Indices, near: Indices) -> tuple[Array, Array]:
+        """How far targets are from samples, and that with what only decides where the path meets itself."""
+        gap = tip[near] - position[i]
+        same = np.minimum(np.abs(np.einsum("...k,...k->...", sample_quat[near], quat[i])), 1.0)
+        cost = np.sqrt(np.einsum("...k,...k->...", gap, gap))
         cost += LEVER * np.sqrt(8.0 * (1.0 - same))  # the angle, to third order
-        # the last term only decides where the path meets itself
-        best = np.argmin(cost + 1e-3 * np.abs(planned[near] - guess[i, None]), axis=1)
-        row = np.arange(len(i))
-        return near[row, best], cost[row, best]
+        return cost, cost + 1e-3 * np.abs(planned[near] - guess[i])
 
-    at, cost = np.empty(len(position), dtype=np.intp), np.empty(len(position))
-    wanted = np.arange(len(position))
+    n = len(position)
+    at, cost, total = np.empty(n, dtype=np.intp), np.empty(n), np.empty(n)
+    wanted = np.arange(n)
     for window in WINDOWS:
         reach = np.arange(-window, window + 1)
         for block in np.array_split(wanted, 1 + len(wanted) * len(reach) // BLOCK):
             near = np.clip(centre[block, None] + reach, least[block, None], most[block, None])
-            at[block], cost[block] = nearest(block, near)
+            own, with_way = costs(block[:, None], near)
+            best = np.argmin(with_way, axis=1)
+            row = np.arange(len(block))
+            at[block], cost[block], total[block] = near[row, best], own[row, best], with_way[row, best]
         edge = (np.abs(at - centre) >= window) & (at > least) & (at < most)
         wanted = np.flatnonzero((cost > FOUND) & (edge | (cost > ASTRAY)))
-    for i in np.flatnonzero(cost > ASTRAY):  # joint moves cut wide turns short, and the guess is then far off
-        at[i] = nearest(np.array([i]), np.arange(least[i], most[i] + 1)[None])[0][0]
+    # joint moves cut wide turns short, and the guess is then far off; what is better lies in a ball as large as the cost
+    astray = np.flatnonzero(cost > ASTRAY)
+    if len(astray):
+        tree, radius = cKDTree(tip, balanced_tree=False, compact_nodes=False), ROUNDED_UP * total[astray]
+        sizes = tree.query_ball_point(position[astray], radius, return_length=True)
+        for block in np.split(np.arange(len(astray)), np.flatnonzero(np.diff(np.cumsum(sizes) // BLOCK)) + 1):
+            found = tree.query_ball_point(position[astray[block]], radius[block], return_sorted=True)
+            i, near = np.repeat(astray[block], sizes[block]), np.concatenate(found).astype(np.intp)
+            inside = (near >= least[i]) & (near <= most[i])
+            i, near = i[inside], near[inside]
+            order = np.lexsort((near, costs(i, near)[1], i))
+            first = order[np.flatnonzero(np.diff(i[order], prepend=-1))]
+            at[i[first]] = near[first]
     # ends are known: on a closed path the nearest sample to one may be the other
     at[targets[:-1]], at[targets[1:] - 1] = cuts[:-1], cuts[1:]
     return np.maximum.accumulate(at)
