@@ -28,7 +28,7 @@ from planner.export.arms import (
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
-from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
@@ -107,7 +107,7 @@ TICK = 0.01  # s: what waits are written to
 def write(plan: Plan) -> dict[str, str]:
     """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in TP programs."""
     require_writable(plan, unsupported_in_fanuc(plan))
-    name, moves = fanuc_name(plan.name), plan_moves(plan, arcs=True)
+    name, moves = fanuc_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     off = [f"DO[{k}]=OFF" for k in output_numbers(plan.problem).values()]
     start = _joint_target(FANUC.counted(plan.trajectory.q[:1, plan.cell.own])[0])
@@ -412,14 +412,14 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
     texts = {file.removesuffix(".ls"): text for file, text in files.items()}
     read, _ = read_fanuc(texts, fanuc_name(plan.name), plan)
-    return arm_program(plan, plan_moves(plan, arcs=True), read, FANUC, np.radians(0.51 * 10.0**-DIGITS))
+    return arm_program(plan, moves_with_arcs(plan), read, FANUC, np.radians(0.51 * 10.0**-DIGITS))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".ls"): text for file, text in files.items()}
     read, said = read_fanuc(texts, fanuc_name(plan.name), plan)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     found = arm_differences(plan, moves, read, FANUC, np.radians(0.51 * 10.0**-DIGITS), planned_speeds(moves), TICK)
     planned = [
         each

@@ -29,7 +29,7 @@ from planner.export.arms import (
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
-from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.moves import Moves, MoveSection, move_radii, moves_of_lines, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
@@ -86,7 +86,7 @@ TICK = 0.01  # s: what waits are written to
 def write(plan: Plan) -> dict[str, str]:
     """Jobs of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in INFORM."""
     require_writable(plan, unsupported_in_inform(plan))
-    name, moves = job_name(plan.name), plan_moves(plan)
+    name, moves = job_name(plan.name), moves_of_lines(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     off = [f"DOUT OT#({k}) OFF" for k in output_numbers(plan.problem).values()]
     start = (False, "", _joints(YASKAWA.counted(plan.trajectory.q[:1, plan.cell.own]))[0])
@@ -351,14 +351,14 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
     texts = {file.removesuffix(".JBI"): text for file, text in files.items()}
     read, _ = read_inform(texts, job_name(plan.name), plan)
-    return arm_program(plan, plan_moves(plan), read, YASKAWA, np.radians(0.51 * 10.0**-DEGREES))
+    return arm_program(plan, moves_of_lines(plan), read, YASKAWA, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the jobs from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".JBI"): text for file, text in files.items()}
     read, said = read_inform(texts, job_name(plan.name), plan)
-    moves = plan_moves(plan)
+    moves = moves_of_lines(plan)
     rounding = np.radians(0.51 * 10.0**-DEGREES)
     found = arm_differences(plan, moves, read, YASKAWA, rounding, planned_speeds(moves), TICK)
     planned = [each for each, linear in zip(configs(plan, moves), moves.linear.tolist(), strict=True) if linear]

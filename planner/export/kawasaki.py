@@ -24,7 +24,7 @@ from planner.export.arms import (
 from planner.export.euler import from_turning_zyz, turning_zyz, written
 from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
-from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
@@ -72,7 +72,7 @@ def as_name(name: str, longest: int = LONGEST_NAME) -> str:
 def write(plan: Plan) -> dict[str, str]:
     """The file of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in AS."""
     require_writable(plan, unsupported_in_kawasaki(plan))
-    name, moves = as_name(plan.name), plan_moves(plan, arcs=True)
+    name, moves = as_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
     off = [f"SIGNAL -{k}" for k in output_numbers(plan.problem).values()]
@@ -301,12 +301,12 @@ def _bodies(text: str) -> dict[str, list[Statement]]:
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
     read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
-    return arm_program(plan, plan_moves(plan, arcs=True), read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES))
+    return arm_program(plan, moves_with_arcs(plan), read, KAWASAKI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the file from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_kawasaki(files[f"{as_name(plan.name)}.as"], plan)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)
     return arm_differences(plan, moves, read, KAWASAKI, rounding, speeds, zones=planned_zones(plan, moves))

@@ -20,7 +20,7 @@ from planner.export.moves import (
     MoveSection,
     blend_differences,
     move_radii,
-    plan_moves,
+    moves_with_arcs,
     sections,
     tip_acceleration,
 )
@@ -183,7 +183,7 @@ class Subprogram:
 def write(plan: Plan) -> dict[str, str]:
     """Source and data files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
     require_writable(plan, unsupported_in_krl(plan))
-    name, moves = krl_name(plan.name), plan_moves(plan, arcs=True)
+    name, moves = krl_name(plan.name), moves_with_arcs(plan)
     header = _header(plan)
     subprograms = list(_subprograms(plan, moves))
     files = packed(subprograms, (each.size for each in subprograms), FILE_SIZE, LOCAL_PROGRAMS)
@@ -662,13 +662,13 @@ ROUNDING = np.radians(1.01e-4)  # of axes
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of both files, with the plan's postures at its targets. InputError for an unknown line."""
-    return filled(plan, plan_moves(plan, arcs=True), _read(plan, files)[1])
+    return filled(plan, moves_with_arcs(plan), _read(plan, files)[1])
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     source, written = _read(plan, files)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     return [*played_differences(plan, moves, written), *blend_differences(plan, written), *_moves(plan, moves, source)]
 
 

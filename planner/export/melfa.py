@@ -31,7 +31,7 @@ from planner.export.arms import (
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
-from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
@@ -98,7 +98,7 @@ def melfa_name(name: str) -> str:
 def write(plan: Plan) -> dict[str, str]:
     """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in MELFA-BASIC."""
     require_writable(plan, unsupported_in_melfa(plan))
-    name, moves = melfa_name(plan.name), plan_moves(plan, arcs=True)
+    name, moves = melfa_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
     off = [f"M_Out({k})=0" for k in output_numbers(plan.problem).values()]
@@ -416,14 +416,14 @@ def _program(text: str, name: str) -> tuple[list[Statement], Places]:
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
     read, _ = read_melfa({file.removesuffix(".prg"): text for file, text in files.items()}, melfa_name(plan.name), plan)
-    return arm_program(plan, plan_moves(plan, arcs=True), read, MITSUBISHI, np.radians(0.51 * 10.0**-DEGREES))
+    return arm_program(plan, moves_with_arcs(plan), read, MITSUBISHI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     texts = {file.removesuffix(".prg"): text for file, text in files.items()}
     read, said = read_melfa(texts, melfa_name(plan.name), plan)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)
     found = arm_differences(plan, moves, read, MITSUBISHI, rounding, speeds, zones=planned_zones(plan, moves))
     planned = [each for each, linear in zip(flags(plan, moves), moves.linear.tolist(), strict=True) if linear]

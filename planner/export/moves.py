@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Indices
+from planner.base.kept import kept
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp, to_matrix
 from planner.export.primitives import FitRules, Poses, SampledWay, fit, misfits
@@ -333,6 +334,18 @@ def sections(plan: Plan, moves: Moves) -> Iterator[MoveSection]:
             of = plan.toolpath.beads[bead].material
             length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
             yield MoveSection(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
+
+
+@kept
+def moves_with_arcs(plan: Plan) -> Moves:
+    """Targets of a plan in a language that has circular moves, see `plan_moves`."""
+    return plan_moves(plan, arcs=True)
+
+
+@kept
+def moves_of_lines(plan: Plan) -> Moves:
+    """Targets of a plan in a language that has none."""
+    return plan_moves(plan)
 
 
 def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None, arcs: bool = False) -> Moves:

@@ -22,7 +22,7 @@ from planner.export.moves import (
     blend_differences,
     greatest_until_stop,
     move_radii,
-    plan_moves,
+    moves_with_arcs,
     rounded_up,
     sections,
     tip_acceleration,
@@ -115,7 +115,7 @@ def script_names(plan: Plan, count: int) -> list[str]:
 def write(plan: Plan) -> dict[str, str]:
     """File name → program of a verified plan (ASCII, m, rad). ValueError if it is not, or has no form in URScript."""
     require_writable(plan, unsupported_in_urscript(plan))
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     programs = _programs(plan, moves)
     names = script_names(plan, len(programs))
     return {f"{name}.script": _program(plan, moves, k, names, programs[k]) for k, name in enumerate(names)}
@@ -431,13 +431,13 @@ def _frame(pose: Array) -> Array:
 
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program, with the plan's postures at its targets. InputError for an unknown line."""
-    return filled(plan, plan_moves(plan, arcs=True), _read(plan, files)[1])
+    return filled(plan, moves_with_arcs(plan), _read(plan, files)[1])
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the program from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     script, written = _read(plan, files)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     return [
         *played_differences(plan, moves, written),
         *blend_differences(plan, written),

@@ -25,7 +25,7 @@ from planner.export.arms import (
 from planner.export.euler import from_turning_xyz, turning_xyz, written
 from planner.export.fit import to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
-from planner.export.moves import Moves, MoveSection, move_radii, plan_moves, sections
+from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
@@ -95,7 +95,7 @@ def val3_name(name: str) -> str:
 def write(plan: Plan) -> dict[str, str]:
     """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in VAL3."""
     require_writable(plan, unsupported_in_val3(plan))
-    name, moves = val3_name(plan.name), plan_moves(plan, arcs=True)
+    name, moves = val3_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     paces, switches = _paces(plan, moves), _Switches(plan, moves)
     parts = {f"part{k}": _part(moves, k, group, paces, switches) for k, group in enumerate(own, 1)}
@@ -474,12 +474,12 @@ def _arrays(text: str) -> Arrays:
 def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
     """The program of the files, with what they leave open as the plan has it. InputError for an unknown line."""
     read = read_val3(files, val3_name(plan.name), plan)
-    return arm_program(plan, plan_moves(plan, arcs=True), read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES))
+    return arm_program(plan, moves_with_arcs(plan), read, STAUBLI, np.radians(0.51 * 10.0**-DEGREES))
 
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of the files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     read = read_val3(files, val3_name(plan.name), plan)
-    moves = plan_moves(plan, arcs=True)
+    moves = moves_with_arcs(plan)
     rounding, speeds = np.radians(0.51 * 10.0**-DEGREES), planned_speeds(moves)
     return arm_differences(plan, moves, read, STAUBLI, rounding, speeds, zones=planned_zones(plan, moves))

@@ -74,14 +74,15 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     foretold: dict[str, Forecast] = {}
     for name in chosen(plan).names:
         language = LANGUAGES[name]
-        own = language.write(plan)
-        if differences := language.differences(plan, own):
+        counted = language.plan(plan)
+        own = language.write(counted)
+        if differences := language.differences(counted, own):
             raise ProgramDiffers(f"{language.title} does not repeat the plan: " + "; ".join(differences))
         texts |= own
         if name in CONTROLLERS:
             controller = CONTROLLERS[name].measured(plan.cell.arm_robot.controller)
             planned = [None if plan.asked is None else each.trajectory for each in plan.stretches]
-            each = zip(language.programs(plan, own), planned, strict=True)
+            each = zip(language.programs(counted, own), planned, strict=True)
             parts = [forecast(program, part.cell, controller, path) for (part, program), path in each]
             foretold[name] = joined(parts, controller)
     if foretold:

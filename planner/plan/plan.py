@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -332,10 +333,15 @@ class Plan:
     @property
     def stretches(self) -> tuple[Plan, ...]:
         """The plan itself; of a print with several nozzles a plan for each time that one is in use, from home to home."""
+        return self._parts or (self,)
+
+    @cached_property
+    def _parts(self) -> tuple[Plan, ...]:
+        """None where there is one nozzle: a plan that holds itself is not soon let go."""
         t = self.trajectory
         found = by_nozzle(self.cell, t.events, t.t)
         if len(found) == 1:
-            return (replace(self, cell=found[0][0]),) if self.cell.nozzles else (self,)
+            return (replace(self, cell=found[0][0]),) if self.cell.nozzles else ()
         return tuple(replace(self, cell=cell, trajectory=t.part(rows)) for cell, rows in found)
 
     @property
@@ -377,9 +383,13 @@ class Plan:
     @property
     def as_counted(self) -> Plan:
         """The same motion, joints and frames of the arm as controllers count them: see `Cell.as_counted`."""
+        return self._counted or self
+
+    @cached_property
+    def _counted(self) -> Plan | None:
         cell = self.cell.as_counted
         if cell is self.cell:
-            return self
+            return None
         return replace(self, cell=cell, trajectory=replace(self.trajectory, q=self.cell.counted(self.trajectory.q)))
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -59,9 +60,12 @@ def read_rapid_files(files: Mapping[str, str]) -> RobotProgram:
 
 def read_rapid_stretches(files: Mapping[str, str]) -> tuple[RobotProgram, ...]:
     """What the modules do while each tool is in use, in order; the rest as `read_rapid_files`."""
-    return _programs(
-        [parse(text, file) for file, text in files.items() if file.endswith(".mod") or file == GRAMMAR.file]
-    )
+    return _read(tuple((file, text) for file, text in files.items() if file.endswith(".mod") or file == GRAMMAR.file))
+
+
+@lru_cache(maxsize=1)  # what is written is held against its plan first, and then foretold
+def _read(files: tuple[tuple[str, str], ...]) -> tuple[RobotProgram, ...]:
+    return _programs([parse(text, file) for file, text in files])
 
 
 def _programs(modules: Sequence[Module]) -> tuple[RobotProgram, ...]:

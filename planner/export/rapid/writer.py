@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Indices
 from planner.base.gcode_lines import time_of
+from planner.base.kept import kept
 from planner.export.controllers import CONTROLLERS
 from planner.export.external import external_written, moving_unit, task_axes
 from planner.export.fit import continuous
@@ -403,6 +404,7 @@ def rapid(plan: Plan) -> str:
     return rapid_files(plan)[f"{module_name(plan.name)}.mod"]
 
 
+@kept
 def rapid_moves(plan: Plan) -> Moves:
     """The moves of a plan's program."""
     t, style = plan.trajectory, plan.problem.program.style
