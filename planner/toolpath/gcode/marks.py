@@ -50,7 +50,7 @@ _EQUAL = 10.0  # times as often as it changes: steps of one length; travel may b
 
 OWN = "the printer's own"
 PURGE, SKIRT, BRIM, SUPPORT, IRONING = "purge", "skirt", "brim", "support", "ironing"
-_TRAVEL = "destring", "travel", "wipe"  # what KISSlicer calls its ways between paths
+_TRAVEL = re.compile(r"destring|travel|wipe(?![ -]tower)")  # what KISSlicer calls its ways between paths
 
 
 @cache
@@ -78,7 +78,7 @@ def kind_in(text: str) -> str | None:
     if match is None:
         return text if text in _KINDS_ALONE else None
     kind = (match[1] or match[2]).strip()
-    return None if kind.lower().startswith(_TRAVEL) else kind
+    return None if _TRAVEL.match(kind.lower()) else kind
 
 
 # comments that are a kind and nothing else: of Slic3r behind its lines, where it was asked for them, and of Simplify3D 3

@@ -32,14 +32,14 @@ _MORE = 1.25  # times the length that can be planned, after which the rest of a 
 _LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
-_LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
+_LINE = re.compile(r"(?:N\d+\s*)?([GMTP])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
 # a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
 _WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
 _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
 _ROTARY = "ABC"  # axes that turn the part or the nozzle, and
 _FURTHER = "UVW"  # those that machines have besides
 _AS_WAYPOINTS = "write its points and normals as waypoints: x y z nx ny nz a line, layers.source.waypoints"
-_BRACKETS = re.compile(r"\([^)]*\)")
+_BRACKETS = re.compile(r"\([^()]*\)")
 _HOMING = {"G28", "G161", "G162"}
 _AXES = re.compile(r"[XYZ]\s*[-+.\d]")
 _TOOLS = 100  # greater numbers are no tools: T255 and T1000 mean other things to Bambu's printers
@@ -192,6 +192,14 @@ def _lines(text: str) -> Iterator[str]:
     yield text[at:]
 
 
+def _without_brackets(code: str) -> str:
+    """Code without its comments in brackets, which Skeinforge nests."""
+    before = ""
+    while code != before:
+        before, code = code, _BRACKETS.sub(" ", code)
+    return code.strip()
+
+
 class _Machine:
     """A printer that follows the lines: where it is, and what it has extruded."""
 
@@ -268,7 +276,7 @@ class _Machine:
             return
         code = line.partition(";")[0].strip()
         if "(" in code:
-            code = _BRACKETS.sub(" ", code).strip()
+            code = _without_brackets(code)
         if code:
             self._follow(code)
 
@@ -286,6 +294,9 @@ class _Machine:
             self.commands[command](rest)
         elif letter == "T":
             self._take(name)
+        elif letter == "P":  # Prusa's printers of several tools park one so
+            self.close()
+            self._pass(command)
         elif letter == "G" and self.printing and name in ("5", "5.1", "6") and _AXES.search(rest.upper()):
             raise self._wrong(f"{command} is not known", "moves are G0, G1, G2 and G3")
         else:
