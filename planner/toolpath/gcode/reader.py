@@ -86,6 +86,8 @@ class GcodeFile:
     volume   E is a volume, in mm^3, not a length: a filament of 1 mm^2
     guessed  E counts from the move before, as the numbers say and no command
     flow     of M221, where it is not all
+    filament diameters [m] of what E counts, that of tool 0 first; empty where the file does not say
+    counted  what M221 says where that is the slicer's own, each value once: E is counted by it
     """
 
     threads: tuple[Thread, ...]
@@ -100,6 +102,8 @@ class GcodeFile:
     volume: bool
     guessed: bool
     flow: float
+    filament: tuple[float, ...] = ()
+    counted: tuple[float, ...] = ()
 
 
 def read_gcode(
@@ -142,6 +146,8 @@ def read_gcode(
         volume=machine.volume,
         guessed=machine.guessed,
         flow=machine.flow,
+        filament=marks.diameters(text),
+        counted=tuple(sorted(machine.counted)),
     )
 
 
@@ -224,6 +230,9 @@ class _Machine:
         self.filament_relative: bool | None = True if self.guessed else None  # None: as the other axes
         self.volume = marks.is_volume(text)
         self.flow = 1.0
+        self.compensated = marks.compensates(text)
+        self.flows: dict[int, float] = {}  # of each tool, by which E is counted then, and
+        self.share_of_e, self.counted = 1.0, set[float]()  # that of this one, and those of all that was extruded
         self.speed = math.nan
         self.plane = "G17"
         self.others = dict.fromkeys(_ROTARY + _FURTHER, 0.0)  # where other axes are, and
@@ -368,6 +377,7 @@ class _Machine:
         number = int(float(tool))
         if number < _TOOLS:
             self.tool = number
+            self.share_of_e = self.flows.get(number, 1.0)
 
     def _take_plane(self, plane: str, rest: str) -> None:
         self.plane = plane
@@ -383,8 +393,15 @@ class _Machine:
 
     def _take_flow(self, rest: str) -> None:
         match = re.search(rf"S\s*({NUMBER})", rest)
-        if match:
-            self.flow = 0.01 * float(match[1])
+        if match is None:
+            return
+        flow = 0.01 * float(match[1])
+        if not self.compensated:
+            self.flow = flow
+            return
+        tool = re.search(r"T\s*(\d+)", rest)
+        self.flows[int(tool[1]) if tool else self.tool] = flow
+        self.share_of_e = self.flows.get(self.tool, 1.0)
 
     def _count(self, relative: bool, rest: str) -> None:
         self.relative = relative
@@ -470,7 +487,7 @@ class _Machine:
         if "E" in words:
             relative = self.relative if self.filament_relative is None else self.filament_relative
             end = unit * words["E"] + (self.filament if relative else 0.0)
-            pushed, self.filament = end - self.filament, end
+            pushed, self.filament = (end - self.filament) * self.share_of_e, end
         if pushed > 0.0 and (self.moved or self.turned):
             self._check_others()
         if "F" in words:
@@ -565,6 +582,8 @@ class _Machine:
             slow, fast = self.speeds
             if self.speed < slow or self.speed > fast:
                 self.speeds = min(slow, self.speed), max(fast, self.speed)
+        if self.share_of_e != 1.0:
+            self.counted.add(self.share_of_e)
         self.moves += 1
         self.length += math.hypot(x - x0, y - y0)
         if self.moves > GCODE_MOVES.most or self.length > _MORE * self.longest:
