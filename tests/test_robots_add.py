@@ -26,6 +26,7 @@ from planner.problem import load_problem
 from planner.robots import survey as surveying
 from planner.robots.adding import add_robot, added
 from planner.robots.command import main
+from planner.robots.face import depth
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
 from planner.robots.trial import trial
@@ -99,6 +100,34 @@ def test_the_flange_may_be_named() -> None:
     assert survey(urdf(text), "link_6").tip == "link_6"
     with pytest.raises(InputError, match="did you mean tool0"):
         survey(urdf(text), "tool")
+
+
+def begins_in_the_wrist(folder: Path, end: str = "0.1 0 0") -> Path:
+    """An arm whose last link begins where its axes meet, and reaches 100 mm from there; an empty frame stands at `end`."""
+    text = urdf_of(ARMS["Yaskawa GP25"]).replace("tool0", "the_end").replace('xyz="0.1 0.0 0.0"', f'xyz="{end}"')
+    assert f'xyz="{end}"' in text
+    body = '<collision><origin xyz="0.05 0 0"/><geometry><box size="0.1 0.06 0.06"/></geometry></collision>'
+    return written(folder, text.replace('<link name="link_6"></link>', f'<link name="link_6">{body}</link>'))
+
+
+def test_a_frame_at_the_end_of_the_last_link_is_the_flange(tmp_path: Path) -> None:
+    """Not where the link begins: a nozzle measured from the flange would be 100 mm too long."""
+    _, made = added(begins_in_the_wrist(tmp_path), tmp_path / "arm.yaml")
+    assert made.found.tip == made.robot.tip == "the_end"
+    assert not any("beyond its frame" in note for note in made.found.notes)
+    _, named = added(tmp_path / "arm.urdf", tmp_path / "named.yaml", tip="link_6")
+    assert named.robot.tip == "link_6", "whoever names one gets it"
+
+
+@pytest.mark.parametrize("end", ["0.2 0 0", "0.1 0.01 0"])
+def test_a_frame_inside_its_link_is_told_and_the_trial_s_nozzle_longer(end: str, tmp_path: Path) -> None:
+    file, made = added(begins_in_the_wrist(tmp_path, end), tmp_path / "arm.yaml")
+    assert made.found.tip == "link_6"
+    note = "link_6's body reaches 100 mm beyond its frame: nozzle.tip_mm counts from the frame"
+    assert note in made.found.notes and f"# {note}" in file.read_text(encoding="utf-8")
+    assert depth(made.robot, made.found.outwards) == pytest.approx(0.1)
+    tip = nozzle_of(made.found.outwards, 0.0, depth(made.robot, made.found.outwards)).tip
+    np.testing.assert_allclose(tip, 0.2 * made.found.outwards)
 
 
 def test_axes_4_and_6_that_pass_each_other_are_no_obstacle() -> None:

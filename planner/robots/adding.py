@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.problem.settings import LANGUAGE_NAMES
+from planner.robots.face import DEEP, depth, frame_at_the_end
 from planner.robots.files import robot_text
 from planner.robots.survey import Survey, expanded, key_of, survey
 from planner.robots.touching import NOTHING, Touching, touching
@@ -125,6 +126,15 @@ def added(
         # plainly first: what its bodies are like is looked at as it is read
         file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
         robot = read_robot(file)
+        if tip is None and (end := frame_at_the_end(read, robot, found.outwards)) is not None:
+            found = survey(read, end, named=False)
+            file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
+            robot = read_robot(file)
+        if (deep := depth(robot, found.outwards)) > DEEP:
+            note = (
+                f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
+            )
+            found = replace(found, notes=(*found.notes, note))
         touch = touching(read, robot)
         file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
         return file, Added(found, touch, read_robot(file))

@@ -58,9 +58,10 @@ class Survey:
     notes: tuple[str, ...]
 
 
-def survey(urdf: Urdf, tip: str | None) -> Survey:
-    """Read an arm off a URDF. Raises InputError where none is found, or none that can be planned with."""
-    named = tip is not None
+def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
+    """Read an arm off a URDF; named: whoever asks has named the tip, if there is one. Raises InputError where no arm is found,
+    or none that can be planned with."""
+    named = named and tip is not None
     ways = _arms(urdf)
     if tip is None:
         tip = _flange(urdf, ways)
