@@ -266,9 +266,27 @@ def test_arguments_that_are_missing_or_unknown_are_told(
     arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("xacrodoc")
-    assert main(["add", str(asking(tmp_path)), *arguments, "--out", str(tmp_path / "kr10.yaml")]) == 2
+    path = asking(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace('"any"', '"$(find arm_support)"'), encoding="utf-8")
+    assert main(["add", str(path), *arguments, "--out", str(tmp_path / "kr10.yaml")]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "kr10.yaml").exists()
+
+
+def test_the_name_of_the_robot_may_be_an_argument_with_a_value(tmp_path: Path) -> None:
+    """xacro reads the first element before the value of its own argument, as files of Flexiv, Kinova and Neuromeka have it."""
+    pytest.importorskip("xacrodoc")
+    _, made = added(asking(tmp_path), tmp_path / "kr10.yaml")
+    assert made.found.name == "any"
+
+
+def test_a_xacro_file_of_macros_names_those_that_use_it(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    described(tmp_path)
+    macro = tmp_path / "arm_macros" / "urdf" / "macro.xacro"
+    with pytest.raises(InputError, match=r"makes no links.*the robot is made by kr10.xacro"):
+        added(macro, tmp_path / "kr10.yaml")
+    assert sorted(file.name for file in macro.parent.iterdir()) == ["macro.xacro"]
 
 
 def test_only_xacro_files_have_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ as they are sold for printing beside walls.
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -240,15 +241,27 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
     address = urlparse(name)
     if address.scheme == "package":
         inside = unquote(address.netloc + address.path)
+        package, _, rest = inside.partition("/")
         for folder in urdf.path.resolve().parents:
             if (folder / inside).is_file():
                 return folder / inside
-        hint = f"looked for {inside} in all folders around {urdf.path.name}"
+            if (folder / rest).is_file() and _is_package(folder, package):
+                return folder / rest
+        hint = f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in one whose package.xml is of {package}"
         raise urdf.error(shape, field, f"no mesh {name}", hint)
     path = Path(unquote(address.path)) if address.scheme == "file" else urdf.path.parent / name
     if not path.is_file():
         raise urdf.error(shape, field, f"no mesh {name}", f"looked for {path}")
     return path
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    """Whether a folder holds a ROS package of a name, whatever the folder is called: a download bears its branch's name too."""
+    try:
+        said = re.search(r"<name>\s*([^<]*?)\s*</name>", (folder / "package.xml").read_text("utf-8", "replace"))
+    except OSError:
+        return False
+    return said is not None and said[1] == name
 
 
 def nozzle_profile(spec: NozzleSpec) -> tuple[tuple[float, float], ...]:

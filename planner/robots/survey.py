@@ -30,7 +30,10 @@ ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
 _TOLD = 6  # arguments of a xacro file, in a hint
-_ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
+_ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)[^>]*")
+_INCLUDE = re.compile(r"<xacro:include\s[^>]*?\bfilename\s*=\s*[\"']([^\"']+)")
+_USERS = 3  # files that a hint names
+_LOOKED_AT = 500  # xacro files, for who includes one
 
 
 @dataclass(frozen=True)
@@ -257,12 +260,13 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
     before = len(xacro.all_includes)
     try:
         packages.look_in([str(around)])
-        made = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+        given = {**_of_root(path), **arguments}
+        made = XacroDoc.from_file(str(path), subargs=given, resolve_packages=False)
         text = str(made.to_urdf_string())
     except (xacro.XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())[:300]
         known = _arguments_in([path]) if path.is_file() else []
-        if "Undefined substitution argument" in words and known:
+        if known and (not arguments or "Undefined substitution argument" in words):
             some = ", ".join([*known[:_TOLD], *("…" for _ in known[_TOLD : _TOLD + 1])])
             words += f"; the file has {some}: give them behind it, as in {known[0]}:=…"
         raise InputError("xacro does not take it", file=path, hint=words) from None
@@ -272,7 +276,40 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
             near = nearest_name(name, known)
             hint = f"did you mean {near}?" if near else f"it has {', '.join(known) or 'none'}"
             raise InputError(f"has no argument {name!r}", file=path, hint=hint)
+    if "<link" not in text:
+        users = _users_of(path.resolve(), around)
+        hint = f"the robot is made by {' or '.join(users[:_USERS])}" if users else "add the file that makes the robot"
+        raise InputError("makes no links: it is there for other files to include", file=path, hint=hint)
     return text
+
+
+def _of_root(path: Path) -> dict[str, str]:
+    """Arguments that the first element asks for, of which the file says a value only after it: xacro has not read it by then."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    root = re.search(r"<robot\b[^>]*>", text)
+    asked = re.findall(r"\$\(arg\s+(\w+)\)", root[0]) if root else []
+    said = {
+        match[1]: re.search(r"\bdefault\s*=\s*[\"']([^\"'$]*)[\"']", match[0]) for match in _ARGUMENT.finditer(text)
+    }
+    return {name: value[1] for name in asked if (value := said.get(name)) is not None}
+
+
+def _users_of(path: Path, around: Path) -> list[str]:
+    """Names of the files around a xacro file that include it, on their own or by others, and that none includes."""
+    texts = {
+        file: file.read_text(encoding="utf-8", errors="replace")
+        for file in sorted(around.rglob("*.xacro"))[:_LOOKED_AT]
+    }
+    includes = {file: {name.rsplit("/", 1)[-1] for name in re.findall(_INCLUDE, text)} for file, text in texts.items()}
+    found, tops, seen = [path], list[Path](), {path}
+    while found:
+        name = found.pop(0)
+        users = [file for file, own in includes.items() if name.name in own and file != name]
+        if not users and name != path:
+            tops.append(name)
+        found += [file for file in users if file not in seen]
+        seen.update(users)
+    return [file.name for file in tops]
 
 
 def _arguments_in(files: Iterable[Path]) -> list[str]:
