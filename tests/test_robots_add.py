@@ -86,6 +86,17 @@ def test_a_gripper_is_no_part_of_the_arm() -> None:
     assert any("nozzle.axis" in note for note in found.notes)
 
 
+def test_a_finger_that_turns_is_no_seventh_axis() -> None:
+    """Kinova names the flange end_effector, and its hand's fingers are joints as the arm's."""
+    text = urdf_of(KR10).replace("tool0", "arm_end_effector").replace(
+        "</robot>",
+        '<link name="finger"/><joint name="grip" type="revolute"><parent link="arm_end_effector"/><child link="finger"/>'
+        '<limit lower="0" upper="1" velocity="1" effort="1"/></joint></robot>',
+    )  # fmt: skip
+    found = survey(urdf(text), None)
+    assert found.tip == "arm_end_effector" and len(found.joints) == 6
+
+
 def test_of_several_frames_of_a_flange_it_is_one_whose_z_leaves_it() -> None:
     """A `flange` with x out of it, as ROS has it, and a maker's own beside it."""
     text = urdf_of(KR10).replace("tool0", "maker_flange").replace(

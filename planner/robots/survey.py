@@ -23,7 +23,9 @@ from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of
 
 AXES = (6, 7)  # of arms that can be planned with
-FLANGES = ("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee")  # names of flange links, best first
+FLANGES = (  # names of flange links, best first
+    *("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee", "end_effector_link", "end_effector"),
+)
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
