@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -67,8 +67,10 @@ class BodyRules:
         return next(filter(None, known), "")
 
 
-def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Body, ...], ...]:
-    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame.
+def read_bodies(
+    urdf: Urdf, model: pin.Model, rules: BodyRules, only: Collection[str] | None = None
+) -> tuple[tuple[Body, ...], ...]:
+    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame; only: those of some links.
 
     A link's body bears its name, with the shape's own in brackets where it has one. Meshes become convex hulls, or some
     pieces of them. Raises InputError for shapes that cannot be read.
@@ -76,7 +78,7 @@ def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[B
     bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
     absent = hanging_on(urdf, rules.without)
     for name, link in urdf.links().items():
-        if name in absent:
+        if name in absent or (only is not None and name not in only):
             continue
         frame = model.frames[link_frame(model, name)]
         for element in link.findall("collision"):

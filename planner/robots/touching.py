@@ -181,11 +181,12 @@ def _cut(
     urdf: Urdf, robot: Robot, drawn: Drawn, between: tuple[int, int], postures: list[Array], found: _Shares
 ) -> dict[str, int]:
     """The links to cut into pieces so that hulls touch in at most half of the postures in which they do in vain."""
+    own = {body.link for k in between for body in robot.bodies[k]}
     links = dict.fromkeys(body.link for k in between for body in robot.bodies[k] if isinstance(body.solid, Hull))
     vain = found.hulls - (found.drawn or 0.0)
     for most in PIECES if links else ():
         wanted = dict.fromkeys(links, most)
-        bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted))
+        bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted), own)
         pair = (bodies[between[0]], bodies[between[1]])
         after = _shares(drawn, pair, between, postures)
         if after.hulls - (found.drawn or 0.0) <= 0.5 * vain:
