@@ -146,6 +146,39 @@ def test_axes_4_and_6_that_pass_each_other_are_no_obstacle() -> None:
     assert (found.kind, found.redundant) == ("skew_wrist", None)
 
 
+# where a joint stands in the one before [m], its axes turning about z and y in turn: Kinova's Gen3 and Flexiv's Rizon 4, rounded
+APART = {
+    "Gen3": ((0, 0, 0.156), (0, 0.005, 0.128), (0, -0.017, 0.21), (0, 0, 0.21), (0, -0.013, 0.208), (0, 0, 0.106), (0, 0, 0.106)),
+    "Rizon": ((0, 0, 0.155), (0, 0.03, 0.21), (0, -0.095, 0.205), (0.02, 0, 0.19), (-0.02, 0.055, 0.19), (0, 0, 0.195), (0, -0.1, 0.11)),
+}  # fmt: skip
+
+
+def seven(rows: tuple[tuple[float, ...], ...]) -> str:
+    """The URDF of an arm of seven axes, bent a little at zero."""
+    links = "".join(f'<link name="l{k}"/>' for k in range(8))
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{x} {y} {z}"/>'
+        f'<axis xyz="{"0 0 1" if k % 2 else "0 1 0"}"/><limit lower="-2.8" upper="2.8" velocity="2" effort="1"/></joint>'
+        for k, (x, y, z) in enumerate(rows, 1)
+    )
+    return f'<robot name="seven">{links}{joints}</robot>'
+
+
+@pytest.mark.parametrize("name", APART)
+def test_seven_axes_that_pass_each_other_are_found_from_an_arm_where_they_meet(name: str, tmp_path: Path) -> None:
+    _, made = added(written(tmp_path, seven(APART[name])), tmp_path / "arm.yaml")
+    assert made.found.kind == "seven_axes"
+    assert made.found.roughly and any("of random ones are missed" in note for note in made.found.notes)
+    inverse = made.robot.inverse
+    assert inverse is not None and inverse.redundant_joint is not None
+    q = np.random.default_rng(1).uniform(-2.8, 2.8, (200, 7))
+    T = inverse.poses(q)
+    solved, ok = inverse.solve(T, q[:, inverse.redundant_joint])
+    np.testing.assert_allclose(inverse.poses(solved[ok]), np.repeat(T, ok.sum(axis=1), axis=0), atol=1e-9)
+    away = np.abs((solved - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=2)
+    assert np.mean((ok & (away < 1e-6)).any(axis=1)) > 0.7
+
+
 def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
     for shipped, kind in (("iiwa", "seven_axes"), ("ur5e", "offset_wrist"), ("irb140", "spherical_wrist")):
         path = Path(surveying.__file__).parents[2] / "robots" / f"{shipped}.urdf"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.parsers.expat import ExpatError
@@ -17,7 +18,7 @@ from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.offset_wrist import read_offset_wrist
 from planner.cell.kinematics.placed_wrist import read_spherical_wrist
-from planner.cell.kinematics.seven_axes import read_seven_axes
+from planner.cell.kinematics.seven_axes import FAR, NEAR, read_seven_axes
 from planner.cell.kinematics.skew_wrist import read_skew_wrist
 from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of
@@ -43,7 +44,8 @@ class Survey:
     """What was found of an arm in a URDF, and what was assumed.
 
     tip      link of the flange; outwards (3): which way axis 6 or 7 leaves it, in the tip's frame
-    kind     of its inverse kinematics, and the redundant joint of seven
+    kind     of its inverse kinematics, and the redundant joint of seven; roughly: its axes pass each other by more than a few
+             millimetres, so that postures are missed
     joints   names, base first; ranges [deg] of those that the URDF leaves open; speeds [rad/s], None: the URDF's own
     notes    what was found and assumed, in words
     """
@@ -54,6 +56,7 @@ class Survey:
     outwards: Array
     kind: str
     redundant: str | None
+    roughly: bool
     joints: tuple[str, ...]
     ranges: dict[str, tuple[float, float]]
     speeds: tuple[float, ...] | None
@@ -77,7 +80,7 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
-    kind, redundant = _kind(urdf, chain)
+    kind, redundant, roughly = _kind(urdf, chain)
     own = [float(speed) for speed in model.velocityLimit]
     speeds = [ASSUMED_SPEED if name in slow else speed for name, speed in zip(chain.names, own, strict=True)]
     acceleration = tuple(_round(speed / RISE) for speed in speeds)
@@ -105,6 +108,7 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
         outwards=outwards,
         kind=kind,
         redundant=redundant,
+        roughly=roughly,
         joints=chain.names,
         ranges=dict.fromkeys(ranges, (-ASSUMED_TURN, ASSUMED_TURN)),
         speeds=tuple(speeds) if slow else None,
@@ -204,16 +208,18 @@ def _positive(text: str | None) -> bool:
         return False
 
 
-def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
-    """The inverse kinematics that an arm has, and its redundant joint; InputError, with what each lacks, for any other."""
+def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None, bool]:
+    """The inverse kinematics that an arm has, its redundant joint, and whether it is only roughly of that kind; InputError, with
+    what each lacks, for any other."""
     lacking = []
     if len(chain) == 7:
-        for joint in (2, 6):
+        for near, joint in product((NEAR, FAR), (2, 6)):
             try:
-                read_seven_axes(chain, joint)
-                return "seven_axes", chain.names[joint]
+                read_seven_axes(chain, joint, near)
+                return "seven_axes", chain.names[joint], near == FAR
             except OtherGeometry as error:
-                lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
+                if near == FAR:
+                    lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
     else:
         kinds = (
             ("spherical_wrist", read_spherical_wrist),
@@ -223,7 +229,7 @@ def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
         for name, read in kinds:
             try:
                 read(chain)
-                return name, None
+                return name, None, False
             except OtherGeometry as error:
                 lacking.append(f"{name}: {error}")
     raise InputError("this arm has no inverse kinematics that is known here", file=urdf.path, hint="; ".join(lacking))
