@@ -525,6 +525,18 @@ def test_the_nozzle_stands_before_the_flange(outwards: tuple[int, int, int]) -> 
     assert nozzle.axis @ np.array(outwards) == pytest.approx(np.cos(np.radians(45.0)))
 
 
+def test_an_interrupted_trial_leaves_the_file_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.robots.command.trial", interrupted)
+    assert main(["add", str(written(tmp_path, urdf_of(KR10))), "--out", str(tmp_path / "arm.yaml")]) == 130
+    assert "interrupted: a robot's file that was named above is there, its print is not" in capsys.readouterr().err
+    assert (tmp_path / "arm.yaml").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["KUKA KR 10 R1420", "Yaskawa MotoMini", "Stäubli TX2-90"])
 def test_an_added_arm_prints(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
