@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import zipfile
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +18,14 @@ _WORD = re.compile(r"([A-Z]) ?([-+]?[0-9]*\.?[0-9]+)")
 _BEGINS = ("LAYER_CHANGE", "CHANGE_LAYER", "BEFORE_LAYER_CHANGE", "AFTER_LAYER_CHANGE", "BEGIN_LAYER_", "; --- layer ")
 _OVER = ("layer end", "End of Gcode", "EXECUTABLE_BLOCK_END", "MACHINE_END_GCODE_START", "*** G-code Postfix")
 _BESIDE = {"iron": "ironing", "prime": "purge", "wipe": "purge", "purge": "purge", "ooze": "purge"}
+_SAID = (  # mm of filament, of all tools, as slicers say them
+    (r"; total filament length \[mm\] : ([\d., ]+)$", 1.0),
+    (r"; filament used \[mm\] = ([\d., ]+)$", 1.0),
+    (r"; filament used = ([\d.]+)mm", 1.0),
+    (r";Filament used: ([\d.]+m(?:, ?[\d.]+m)*)", 1e3),
+    (r";   Filament length: ([\d.]+) mm", 1.0),
+    (r";Material#\d+ Used: ([\d.]+)$", 1.0),
+)
 _PLAIN = {
     *("perimeter", "infill", "skirt", "brim", "support material", "support material interface", "bridge", "gap fill"),
     *("inner perimeter", "outer perimeter", "solid layer", "support", "dense support", "raft", "prime pillar"),
@@ -85,10 +94,29 @@ def _sweep(
     return radius * (turn if turn > 1e-9 and (to_x, to_y) != (x, y) else 2.0 * math.pi)
 
 
+def _text(path: Path) -> str:
+    """The text of a file, or of the plate in a packed one."""
+    data = path.read_bytes()
+    if data[:2] == b"PK":
+        with zipfile.ZipFile(path) as packed:
+            data = packed.read(next(name for name in packed.namelist() if name.endswith(".gcode")))
+    return data.decode("latin-1")
+
+
+def said(path: Path) -> float | None:
+    """The length [mm] of filament that a file says to need, start and end code with it mostly; None where it says none."""
+    text = _text(path)
+    for pattern, unit in _SAID:
+        found = re.findall(f"^{pattern}", text, re.MULTILINE)
+        if found:
+            found = found if "#" in pattern else found[:1]  # others say it once for all tools, and some say it twice
+            return unit * sum(float(number) for each in found for number in re.findall(r"\d+\.?\d*", each))
+    return None
+
+
 def count(path: Path) -> Count:
     """Count what a file lays from the first layer to the last."""
-    lines = path.read_bytes().decode("latin-1").splitlines()
-    events = list(_events(lines))
+    events = list(_events(_text(path).splitlines()))
     has_layers = any(what == "remark" and _is_layer(text) for what, text in events)
     begin = 0
     if not has_layers:

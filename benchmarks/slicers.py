@@ -6,8 +6,9 @@ python -m benchmarks.slicers FOLDER --set process.bead.width_mm=0.4 --out out/sl
 Each file takes the place of the G-code in the problem planar_gcode, and is read, sorted into layers and sized as it is for
 a plan; --beads rounds its corners and lays the beads as well, which takes a second a metre. `printed_m` is the length of
 all beads before their corners are rounded, `specks_m` and `left_out_m` what is not printed, and `difference_pct` what
-printed and specks together are off `counted_m`, the count of benchmarks.slicer_count. A file that is refused has its
-reason in the last column.
+printed and specks together are off `counted_m`, the count of benchmarks.slicer_count. `filament_m` is what all of it takes,
+and `filament_pct` what that is off `said_m`, where the file says it: prime lines in its start code are in `said_m` only. A
+file that is refused has its reason in the last column.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from benchmarks.slicer_count import count
+from benchmarks.slicer_count import count, said
 from planner.base.command_line import exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.problem import Problem, load_problem
@@ -39,9 +40,10 @@ OUT = Path("out/benchmarks/slicers.csv")
 SUFFIXES = (".gcode", ".gco", ".g", ".nc", ".3mf")
 COLUMNS = (
     "file", "slicer", "megabytes", "read_s", "layers", "beads", "printed_m", "specks_m", "left_out_m", "counted_m",
-    "difference_pct", "notes", "refused",
+    "difference_pct", "filament_m", "said_m", "filament_pct", "notes", "refused",
 )  # fmt: skip
 AGREES = 0.5  # % by which both may differ
+PRIMED = 2.0  # % of the filament that a start code's prime line may take
 
 
 def row_of(file: Path, name: str, settings: Sequence[str], lay: bool) -> Row:
@@ -74,7 +76,11 @@ def _chosen(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, file: Path
     specks = sum(thread.length for thread in read.threads) - left_out - printed - above
     counted = count(file).lengths
     there = 1e-3 * sum(length for owner, length in counted.items() if owner not in spec.source.leave_out)
+    pushed, told = sum(float(thread.filament.sum()) for thread in read.threads), said(file)
     return {
+        "filament_m": "" if read.volume else f"{pushed:.3f}",
+        "said_m": f"{1e-3 * told:.3f}" if told else "",
+        "filament_pct": f"{100.0 * (pushed / (1e-3 * told) - 1.0):.3f}" if told and not read.volume else "",
         "layers": chosen.steps[-1].layer + 1,
         "beads": len(chosen.steps),
         "printed_m": f"{printed:.3f}",
@@ -97,7 +103,12 @@ def summary(rows: Sequence[Row]) -> list[str]:
         off = [abs(float(str(row["difference_pct"]))) for row in read if row["difference_pct"]]
         agree = sum(each <= AGREES for each in off)
         most = f", {max(off):.3f} % off at most" if off else ""
-        lines.append(f"{slicer}: {len(own)} files, {len(read)} read, {agree} within {AGREES} % of the count{most}")
+        pushed = [abs(float(str(row["filament_pct"]))) for row in read if row["filament_pct"]]
+        alike = sum(each <= PRIMED for each in pushed)
+        lines.append(
+            f"{slicer}: {len(own)} files, {len(read)} read, {agree} within {AGREES} % of the count{most}; "
+            f"{alike} of {len(pushed)} within {PRIMED:g} % of the filament that they say"
+        )
     return lines
 
 

@@ -150,6 +150,21 @@ def test_meshes_in_a_package_around_the_file_are_found(tmp_path: Path) -> None:
     assert robot.bodies[2][0].name == "hand"
 
 
+def test_a_package_is_known_by_its_name_not_its_folder(tmp_path: Path) -> None:
+    """A repository that is downloaded, not cloned, lies in a folder with its branch's name."""
+    package = tmp_path / "own_description-main"
+    (package / "meshes").mkdir(parents=True)
+    (package / "urdf").mkdir()
+    (package / "meshes" / "hand.stl").write_text(STL, encoding="utf-8")
+    named = "<package>\n  <name>{}</name>\n  <maintainer>own_description</maintainer>\n</package>\n"
+    (package / "package.xml").write_text(named.format("own_description"), encoding="utf-8")
+    file = write(package / "urdf", URDF.replace("hand.stl", "package://own_description/meshes/hand.stl"))
+    assert read_robot(file).bodies[2][0].name == "hand"
+    (package / "package.xml").write_text(named.format("another"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"no mesh.* in one whose package.xml is of own_description"):
+        read_robot(file)
+
+
 @pytest.mark.parametrize("key", ["panda", "ur5", "ur10", "irb140", "iiwa"])
 def test_bodies_stand_where_pinocchio_has_them(key: str) -> None:
     """Every point of every body, in random postures, against Pinocchio's geometry of the whole URDF."""

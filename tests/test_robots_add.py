@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 from planner.base.errors import InputError, OutputError
+from planner.cell import pieces
 from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.cell import build_cell
 from planner.cell.pieces import MOST_PLANES, convex_pieces, lean_hull
@@ -24,6 +26,7 @@ from planner.problem import load_problem
 from planner.robots import survey as surveying
 from planner.robots.adding import add_robot, added
 from planner.robots.command import main
+from planner.robots.face import depth
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
 from planner.robots.trial import trial
@@ -83,6 +86,17 @@ def test_a_gripper_is_no_part_of_the_arm() -> None:
     assert any("nozzle.axis" in note for note in found.notes)
 
 
+def test_a_finger_that_turns_is_no_seventh_axis() -> None:
+    """Kinova names the flange end_effector, and its hand's fingers are joints as the arm's."""
+    text = urdf_of(KR10).replace("tool0", "arm_end_effector").replace(
+        "</robot>",
+        '<link name="finger"/><joint name="grip" type="revolute"><parent link="arm_end_effector"/><child link="finger"/>'
+        '<limit lower="0" upper="1" velocity="1" effort="1"/></joint></robot>',
+    )  # fmt: skip
+    found = survey(urdf(text), None)
+    assert found.tip == "arm_end_effector" and len(found.joints) == 6
+
+
 def test_of_several_frames_of_a_flange_it_is_one_whose_z_leaves_it() -> None:
     """A `flange` with x out of it, as ROS has it, and a maker's own beside it."""
     text = urdf_of(KR10).replace("tool0", "maker_flange").replace(
@@ -99,9 +113,70 @@ def test_the_flange_may_be_named() -> None:
         survey(urdf(text), "tool")
 
 
+def begins_in_the_wrist(folder: Path, end: str = "0.1 0 0") -> Path:
+    """An arm whose last link begins where its axes meet, and reaches 100 mm from there; an empty frame stands at `end`."""
+    text = urdf_of(ARMS["Yaskawa GP25"]).replace("tool0", "the_end").replace('xyz="0.1 0.0 0.0"', f'xyz="{end}"')
+    assert f'xyz="{end}"' in text
+    body = '<collision><origin xyz="0.05 0 0"/><geometry><box size="0.1 0.06 0.06"/></geometry></collision>'
+    return written(folder, text.replace('<link name="link_6"></link>', f'<link name="link_6">{body}</link>'))
+
+
+def test_a_frame_at_the_end_of_the_last_link_is_the_flange(tmp_path: Path) -> None:
+    """Not where the link begins: a nozzle measured from the flange would be 100 mm too long."""
+    _, made = added(begins_in_the_wrist(tmp_path), tmp_path / "arm.yaml")
+    assert made.found.tip == made.robot.tip == "the_end"
+    assert not any("beyond its frame" in note for note in made.found.notes)
+    _, named = added(tmp_path / "arm.urdf", tmp_path / "named.yaml", tip="link_6")
+    assert named.robot.tip == "link_6", "whoever names one gets it"
+
+
+@pytest.mark.parametrize("end", ["0.2 0 0", "0.1 0.01 0"])
+def test_a_frame_inside_its_link_is_told_and_the_trial_s_nozzle_longer(end: str, tmp_path: Path) -> None:
+    file, made = added(begins_in_the_wrist(tmp_path, end), tmp_path / "arm.yaml")
+    assert made.found.tip == "link_6"
+    note = "link_6's body reaches 100 mm beyond its frame: nozzle.tip_mm counts from the frame"
+    assert note in made.found.notes and f"# {note}" in file.read_text(encoding="utf-8")
+    assert depth(made.robot, made.found.outwards) == pytest.approx(0.1)
+    tip = nozzle_of(made.found.outwards, 0.0, depth(made.robot, made.found.outwards)).tip
+    np.testing.assert_allclose(tip, 0.2 * made.found.outwards)
+
+
 def test_axes_4_and_6_that_pass_each_other_are_no_obstacle() -> None:
     found = survey(urdf(urdf_of(KR10).replace('xyz="0.08 0.0 0.0"', 'xyz="0.08 0.0 0.08"')), None)
     assert (found.kind, found.redundant) == ("skew_wrist", None)
+
+
+# where a joint stands in the one before [m], its axes turning about z and y in turn: Kinova's Gen3 and Flexiv's Rizon 4, rounded
+APART = {
+    "Gen3": ((0, 0, 0.156), (0, 0.005, 0.128), (0, -0.017, 0.21), (0, 0, 0.21), (0, -0.013, 0.208), (0, 0, 0.106), (0, 0, 0.106)),
+    "Rizon": ((0, 0, 0.155), (0, 0.03, 0.21), (0, -0.095, 0.205), (0.02, 0, 0.19), (-0.02, 0.055, 0.19), (0, 0, 0.195), (0, -0.1, 0.11)),
+}  # fmt: skip
+
+
+def seven(rows: tuple[tuple[float, ...], ...]) -> str:
+    """The URDF of an arm of seven axes, bent a little at zero."""
+    links = "".join(f'<link name="l{k}"/>' for k in range(8))
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="l{k - 1}"/><child link="l{k}"/><origin xyz="{x} {y} {z}"/>'
+        f'<axis xyz="{"0 0 1" if k % 2 else "0 1 0"}"/><limit lower="-2.8" upper="2.8" velocity="2" effort="1"/></joint>'
+        for k, (x, y, z) in enumerate(rows, 1)
+    )
+    return f'<robot name="seven">{links}{joints}</robot>'
+
+
+@pytest.mark.parametrize("name", APART)
+def test_seven_axes_that_pass_each_other_are_found_from_an_arm_where_they_meet(name: str, tmp_path: Path) -> None:
+    _, made = added(written(tmp_path, seven(APART[name])), tmp_path / "arm.yaml")
+    assert made.found.kind == "seven_axes"
+    assert made.found.roughly and any("of random ones are missed" in note for note in made.found.notes)
+    inverse = made.robot.inverse
+    assert inverse is not None and inverse.redundant_joint is not None
+    q = np.random.default_rng(1).uniform(-2.8, 2.8, (200, 7))
+    T = inverse.poses(q)
+    solved, ok = inverse.solve(T, q[:, inverse.redundant_joint])
+    np.testing.assert_allclose(inverse.poses(solved[ok]), np.repeat(T, ok.sum(axis=1), axis=0), atol=1e-9)
+    away = np.abs((solved - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=2)
+    assert np.mean((ok & (away < 1e-6)).any(axis=1)) > 0.7
 
 
 def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
@@ -235,9 +310,27 @@ def test_arguments_that_are_missing_or_unknown_are_told(
     arguments: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("xacrodoc")
-    assert main(["add", str(asking(tmp_path)), *arguments, "--out", str(tmp_path / "kr10.yaml")]) == 2
+    path = asking(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace('"any"', '"$(find arm_support)"'), encoding="utf-8")
+    assert main(["add", str(path), *arguments, "--out", str(tmp_path / "kr10.yaml")]) == 2
     assert told in capsys.readouterr().err
     assert not (tmp_path / "kr10.yaml").exists()
+
+
+def test_the_name_of_the_robot_may_be_an_argument_with_a_value(tmp_path: Path) -> None:
+    """xacro reads the first element before the value of its own argument, as files of Flexiv, Kinova and Neuromeka have it."""
+    pytest.importorskip("xacrodoc")
+    _, made = added(asking(tmp_path), tmp_path / "kr10.yaml")
+    assert made.found.name == "any"
+
+
+def test_a_xacro_file_of_macros_names_those_that_use_it(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    described(tmp_path)
+    macro = tmp_path / "arm_macros" / "urdf" / "macro.xacro"
+    with pytest.raises(InputError, match=r"makes no links.*the robot is made by kr10.xacro"):
+        added(macro, tmp_path / "kr10.yaml")
+    assert sorted(file.name for file in macro.parent.iterdir()) == ["macro.xacro"]
 
 
 def test_only_xacro_files_have_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -281,14 +374,47 @@ def fork() -> trimesh.Trimesh:
 def test_a_fork_is_cut_into_its_prongs() -> None:
     mesh = fork()
     corners = np.asarray(mesh.vertices)[mesh.faces]
-    pieces = [Hull(points) for points in convex_pieces(corners, 4)]
-    assert 2 <= len(pieces) <= 4
-    assert sum(piece.volume for piece in pieces) < 0.75 * Hull(np.asarray(mesh.vertices)).volume
+    prongs = [Hull(points) for points in convex_pieces(corners, 4)]
+    assert 2 <= len(prongs) <= 4
+    assert sum(piece.volume for piece in prongs) < 0.75 * Hull(np.asarray(mesh.vertices)).volume
     inside = np.asarray(trimesh.sample.sample_surface(mesh, 2000, seed=0)[0])
-    depth = np.min([(inside @ piece.planes[:, :3].T + piece.planes[:, 3]).max(axis=1) for piece in pieces], axis=0)
+    depth = np.min([(inside @ piece.planes[:, :3].T + piece.planes[:, 3]).max(axis=1) for piece in prongs], axis=0)
     assert depth.max() < 1e-9  # no place of the body is left out
     between = np.array([0.25, 0.0, 0.0])
-    assert all((piece.planes[:, :3] @ between + piece.planes[:, 3]).max() > 0.01 for piece in pieces)
+    assert all((piece.planes[:, :3] @ between + piece.planes[:, 3]).max() > 0.01 for piece in prongs)
+
+
+def test_cuts_are_weighed_without_making_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fine mesh took minutes, where all triangles were cut 21 times for each piece; the gain is the same."""
+    rng = np.random.default_rng(3)
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    bent = np.asarray(ball.vertices) * [0.1, 0.02, 0.02]
+    bent[:, 2] += 4.0 * bent[:, 0] ** 2
+    bent += 1e-4 * rng.normal(size=bent.shape)  # no two places are as far in any direction
+    corners = bent[ball.faces]
+    made: list[float] = []
+
+    def counted(corners: Array, axis: int, place: float, sign: float) -> Array:
+        made.append(sign)
+        return side(corners, axis, place, sign)
+
+    side = pieces._side
+    monkeypatch.setattr(pieces, "_side", counted)
+    cut = pieces._best_cut(corners)
+    assert made == [-1.0, 1.0]
+
+    def volume(part: Array) -> float:
+        points = part.reshape(-1, 3)
+        return float(ConvexHull(points[np.unique((points @ pieces._DIRECTIONS.T).argmax(axis=0))]).volume)
+
+    gains = []
+    for axis in range(3):
+        low, high = corners[:, :, axis].min(), corners[:, :, axis].max()
+        for place in low + pieces._PLACES * (high - low):
+            gains.append(
+                volume(corners) - volume(side(corners, axis, place, -1.0)) - volume(side(corners, axis, place, 1.0))
+            )
+    assert cut.gain == pytest.approx(max(gains), rel=1e-9)
 
 
 def test_a_convex_body_stays_whole() -> None:
@@ -397,6 +523,18 @@ def test_the_nozzle_stands_before_the_flange(outwards: tuple[int, int, int]) -> 
     nozzle = nozzle_of(np.array(outwards, dtype=float), np.radians(45.0))
     np.testing.assert_allclose(nozzle.tip, 0.1 * np.array(outwards))
     assert nozzle.axis @ np.array(outwards) == pytest.approx(np.cos(np.radians(45.0)))
+
+
+def test_an_interrupted_trial_leaves_the_file_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.robots.command.trial", interrupted)
+    assert main(["add", str(written(tmp_path, urdf_of(KR10))), "--out", str(tmp_path / "arm.yaml")]) == 130
+    assert "interrupted: a robot's file that was named above is there, its print is not" in capsys.readouterr().err
+    assert (tmp_path / "arm.yaml").exists()
 
 
 @pytest.mark.slow

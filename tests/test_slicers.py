@@ -188,7 +188,7 @@ G1 X30 Y30 Z0.600 E2.1
 
 def test_idea_maker_and_its_scarfs(read: Read, build: Build) -> None:
     file = read(IDEAMAKER)
-    assert file.slicer == "ideaMaker" and file.flow == pytest.approx(0.94)
+    assert file.slicer == "ideaMaker" and file.flow == 1.0
     assert lines_of(file) == [
         [[10, 10, 0.3], [40, 10, 0.3]],
         [[10, 20, 0.3], [20, 20, 0.4], [30, 20, 0.6], [30, 30, 0.6]],
@@ -201,9 +201,127 @@ def test_idea_maker_and_its_scarfs(read: Read, build: Build) -> None:
     assert scarf.width[0] < 0.3 * scarf.width[-1], "but the flow is the file's"
     notes = "\n".join(toolpath.notes)
     assert "part.gcode: 1 piece rises within its layer and is laid level, as high as it ends" in notes
-    assert "M221 asks the printer for 94% of its flow, which is its own matter" in notes
+    assert "M221 is the slicer's own compensation of the filament: 94% of E is laid" in notes
     assert "1 piece of skirt (SKIRT), 0.030 m, printed" in notes
     assert len(build(IDEAMAKER, "layers.source.leave_out=[skirt]").beads) == 1
+
+
+TWO_LINES = """\
+;Generated with Cura_SteamEngine 5.9.1
+M82
+;LAYER_COUNT:2
+;LAYER:0
+G0 X10 Y10 Z0.3
+G1 X30 Y10 E0.8
+;LAYER:1
+G0 X10 Y10 Z0.6
+G1 X30 Y10 E1.6
+"""
+
+
+def test_idea_makers_compensation_is_counted_tool_by_tool(read: Read) -> None:
+    pushed = [float(thread.filament.sum()) * 1e3 for thread in read(IDEAMAKER).threads]
+    assert pushed == pytest.approx([0.94 * 1.2, 0.94 * 0.9])
+    two = read(IDEAMAKER.replace("S94.00", "S94.00\nM221 T1 S90").replace(";LAYER:0\n", ";LAYER:0\nT1\n"))
+    assert [float(thread.filament.sum()) * 1e3 for thread in two.threads] == pytest.approx([0.94 * 1.2, 0.9 * 0.9])
+    assert two.counted == pytest.approx((0.9, 0.94))
+    other = read(IDEAMAKER.replace("ideaMaker", "another"))
+    assert float(other.threads[0].filament.sum()) * 1e3 == pytest.approx(1.2), "a printer's own matter"
+    assert other.flow == pytest.approx(0.94) and other.counted == ()
+
+
+@pytest.mark.parametrize(
+    "said, diameters",
+    [
+        ("; filament_diameter = 2.85", [2.85]),
+        ("; filament_diameter = 1.75,2.85\n; filament_diameter: 1.75,2.85", [1.75, 2.85]),
+        ("; filament_diameter: 1.75", [1.75]),
+        (";Filament Diameter #1: 2.850\n;Filament Diameter #2: 1.750", [2.85, 1.75]),
+        ("; fiber_dia_mm = 3", [3.0]),
+        (";   filamentDiameters,2.85|1.75|1.75", [2.85, 1.75, 1.75]),
+        (";filament_diameter0: 1.75", [1.75]),
+        ("; filament_diameter_mm_0 : \t2.85", [2.85]),
+        ("; filament_diameter = 0", []),
+        ("; filament_diameters", []),
+    ],
+)
+def test_the_filament_that_a_file_was_sliced_for(read: Read, said: str, diameters: list[float]) -> None:
+    assert [1e3 * each for each in read(f"{said}\n{TWO_LINES}").filament] == pytest.approx(diameters)
+
+
+def test_beads_hold_what_the_files_filament_holds(build: Build) -> None:
+    """Sliced for 2.85 mm, a file that was taken for one of 1.75 mm laid 38 % of it."""
+    plain = build(TWO_LINES, "process.bead.section=rectangle")
+    thick = build(f"; filament_diameter = 2.85\n{TWO_LINES}", "process.bead.section=rectangle")
+    assert thick.beads[0].width == pytest.approx(plain.beads[0].width * (2.85 / 1.75) ** 2)
+    assert (
+        "part.gcode: its E counts a filament of 2.85 mm, as it says; process.filament_diameter_mm is what yours pushes"
+        in (thick.notes)
+    )
+    unsaid = (
+        "part.gcode: does not say what filament its E counts; one of 1.75 mm is taken, process.filament_diameter_mm"
+    )
+    assert unsaid in plain.notes and unsaid not in thick.notes
+    given = build(f"; filament_diameter = 2.85\n{TWO_LINES}", "layers.source.filament_diameter_mm=1.75")
+    assert (
+        "part.gcode: says that its E counts a filament of 2.85 mm; layers.source.filament_diameter_mm, 1.75 mm, is taken"
+        in (given.notes)
+    )
+    said = build(
+        f"; filament_diameter = 1.75\n{TWO_LINES}",
+        "process.filament_diameter_mm=2.85",
+        "process.bead.section=rectangle",
+    )
+    assert said.beads[0].width == pytest.approx(plain.beads[0].width), (
+        "the robot pushes another than the file was sliced for"
+    )
+    none = build(TWO_LINES, "layers.source.filament_diameter_mm=1.75")
+    assert not any("filament" in note for note in none.notes)
+
+
+def test_tools_may_have_filaments_of_their_own(build: Build) -> None:
+    text = "; filament_diameter = 1.75,2.85\n" + TWO_LINES.replace(";LAYER:1\n", ";LAYER:1\nT1\n")
+    one, two = (build(each, "process.bead.section=rectangle") for each in (TWO_LINES, text))
+    last = -1
+    assert two.beads[0].width == pytest.approx(one.beads[0].width)
+    assert two.beads[last].width == pytest.approx(one.beads[last].width * (2.85 / 1.75) ** 2)
+
+
+def test_a_tool_is_parked_between_layers(read: Read) -> None:
+    plain = read(TWO_LINES)
+    parked = read(TWO_LINES.replace(";LAYER:1\n", ";LAYER:1\nP0 S1 L2 D0; park the tool\n"))
+    assert lines_of(parked) == lines_of(plain) and ("P0", 1) in parked.passed
+
+
+def test_a_wipe_tower_is_purge_beyond_the_change_of_tool_too(build: Build) -> None:
+    """PrusaSlicer names it by its kind; between changes of tool, where the tower grows, by nothing else."""
+    text = """\
+; generated by PrusaSlicer 2.7.1
+M83
+;LAYER_CHANGE
+;HEIGHT:0.3
+G1 X10 Y10 Z.3
+;TYPE:Solid infill
+G1 X30 Y10 E0.8
+;TYPE:Wipe tower
+G1 X50 Y50
+; CP TOOLCHANGE START
+G1 X60 Y50 E0.4
+; CP TOOLCHANGE END
+G1 X60 Y60
+G1 X80 Y60 E0.8
+;TYPE:Perimeter
+G1 X10 Y20
+G1 X30 Y20 E0.8
+"""
+    toolpath = build(text)
+    assert [bead.name for bead in toolpath.beads] == ["path 1 (Solid infill)", "path 2 (Perimeter)"]
+    assert "part.gcode: 2 pieces of purge (Wipe tower), 0.030 m, left out" in toolpath.notes
+
+
+def test_brackets_within_brackets_are_a_comment(read: Read) -> None:
+    nested = TWO_LINES.replace(";LAYER:1\n", ";LAYER:1\n(<bridgeRotation> (0.754+0.657j) )\n")
+    assert lines_of(read(nested)) == lines_of(read(TWO_LINES))
 
 
 KISS = """\

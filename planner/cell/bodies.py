@@ -7,7 +7,8 @@ as they are sold for printing beside walls.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -66,8 +67,10 @@ class BodyRules:
         return next(filter(None, known), "")
 
 
-def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Body, ...], ...]:
-    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame.
+def read_bodies(
+    urdf: Urdf, model: pin.Model, rules: BodyRules, only: Collection[str] | None = None
+) -> tuple[tuple[Body, ...], ...]:
+    """Bodies by the joint of the model that carries them (0: none does), in that joint's frame; only: those of some links.
 
     A link's body bears its name, with the shape's own in brackets where it has one. Meshes become convex hulls, or some
     pieces of them. Raises InputError for shapes that cannot be read.
@@ -75,7 +78,7 @@ def read_bodies(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[B
     bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
     absent = hanging_on(urdf, rules.without)
     for name, link in urdf.links().items():
-        if name in absent:
+        if name in absent or (only is not None and name not in only):
             continue
         frame = model.frames[link_frame(model, name)]
         for element in link.findall("collision"):
@@ -240,15 +243,27 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
     address = urlparse(name)
     if address.scheme == "package":
         inside = unquote(address.netloc + address.path)
+        package, _, rest = inside.partition("/")
         for folder in urdf.path.resolve().parents:
             if (folder / inside).is_file():
                 return folder / inside
-        hint = f"looked for {inside} in all folders around {urdf.path.name}"
+            if (folder / rest).is_file() and _is_package(folder, package):
+                return folder / rest
+        hint = f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in one whose package.xml is of {package}"
         raise urdf.error(shape, field, f"no mesh {name}", hint)
     path = Path(unquote(address.path)) if address.scheme == "file" else urdf.path.parent / name
     if not path.is_file():
         raise urdf.error(shape, field, f"no mesh {name}", f"looked for {path}")
     return path
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    """Whether a folder holds a ROS package of a name, whatever the folder is called: a download bears its branch's name too."""
+    try:
+        said = re.search(r"<name>\s*([^<]*?)\s*</name>", (folder / "package.xml").read_text("utf-8", "replace"))
+    except OSError:
+        return False
+    return said is not None and said[1] == name
 
 
 def nozzle_profile(spec: NozzleSpec) -> tuple[tuple[float, float], ...]:

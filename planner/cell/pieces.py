@@ -7,12 +7,13 @@ most of the volume that hulls add to the solid.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 
 _PLACES = np.linspace(0.0, 1.0, 9)[1:-1]  # of cuts along a body, as shares of its length
 _LOOKED = 96  # directions in which a side's farthest points stand for it while cuts are compared
@@ -88,13 +89,18 @@ def _hull(corners: Array) -> ConvexHull | None:
         return None
 
 
-def _volume(corners: Array) -> float:
-    """Of the hull of a side's farthest points [m^3]: nearly that of its hull, and much sooner known."""
-    if not len(corners):
+def _volume(farthest: Array, also: Array | None = None) -> float:
+    """Of the hull of a side's farthest points [m^3]: nearly that of its hull, and much sooner known.
+
+    farthest, also: (directions, 3), in each direction one; of both the one that is farther counts.
+    """
+    if also is not None:
+        beyond = ((also - farthest) * _DIRECTIONS).sum(axis=1) > 0.0
+        farthest = np.where(beyond[:, None], also, farthest)
+    try:
+        return float(ConvexHull(farthest).volume)
+    except QhullError:  # flat
         return 0.0
-    points = corners.reshape(-1, 3)
-    hull = _hull(points[np.unique(np.argmax(points @ _DIRECTIONS.T, axis=0))])
-    return 0.0 if hull is None else float(hull.volume)
 
 
 def _all_round(count: int) -> Array:
@@ -109,16 +115,81 @@ _DIRECTIONS = np.vstack([_all_round(_LOOKED), np.eye(3), -np.eye(3)])
 
 
 def _best_cut(corners: Array) -> _Cut:
-    """The cut across an axis that takes most away; none gains anything where the triangles are too few."""
-    best, volume = _Cut(0.0, corners, corners[:0]), _volume(corners)
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    """The cut across an axis that takes most away; none gains anything where the triangles are too few.
+
+    All cuts across an axis share one look at the corners: these are sorted along it, and between two cuts each direction has
+    one that is farthest. Only where a cut meets triangles are there further ones to look at.
+    """
+    points = _once(corners.reshape(-1, 3))  # most corners are of six triangles
+    low, high = points.min(axis=0), points.max(axis=0)
+    none = _Cut(0.0, corners, corners[:0])
+    if (high - low).min() < _THIN:
+        return none
+    best, at, whole = 0.0, (0, 0.0), 0.0
     for axis in range(3):
-        for place in low[axis] + _PLACES * (high[axis] - low[axis]):
-            below, above = _side(corners, axis, place, -1.0), _side(corners, axis, place, 1.0)
-            gain = volume - _volume(below) - _volume(above)
-            if gain > best.gain:
-                best = _Cut(gain, below, above)
-    return best
+        points = points[np.argsort(points[:, axis], kind="stable")]
+        places = low[axis] + _PLACES * (high[axis] - low[axis])
+        before, after = (np.searchsorted(points[:, axis], places, side=side) for side in ("left", "right"))
+        farthest = _Farthest.of(points, after)
+        if axis == 0:
+            whole = _volume(points[farthest.below[-1]])
+        for i, place in enumerate(places.tolist()):
+            on = _outermost(np.vstack([points[before[i] : after[i]], _on_cut(corners, axis, place)]))
+            gain = whole - _volume(points[farthest.below[i]], on) - _volume(points[farthest.above[i]], on)
+            if gain > best:
+                best, at = gain, (axis, place)
+    return none if best <= 0.0 else _Cut(best, _side(corners, *at, -1.0), _side(corners, *at, 1.0))
+
+
+def _once(points: Array) -> Array:
+    """Points (n, 3), each once."""
+    points = points[np.lexsort(points.T)]
+    return points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
+
+
+class _Farthest(NamedTuple):
+    """Which of sorted points is farthest in each direction, up to each cut and beyond it.
+
+    below    (cuts + 1, directions): the last row is of all points; above (cuts, directions)
+    """
+
+    below: Ints
+    above: Ints
+
+    @classmethod
+    def of(cls, points: Array, cuts: Ints) -> _Farthest:
+        """Of points (n, 3) and how many of them lie up to each cut; some lie below the first and above the last."""
+        away = _DIRECTIONS @ points.T
+        edges = [0, *cuts.tolist(), len(points)]
+        slabs = [k for k in range(len(edges) - 1) if edges[k] < edges[k + 1]]
+        own = {k: edges[k] + away[:, edges[k] : edges[k + 1]].argmax(axis=1) for k in slabs}
+        below, above = (cls._running(away, own, order) for order in (range(len(edges) - 1), range(len(cuts), 0, -1)))
+        return cls(below, above[::-1])
+
+    @staticmethod
+    def _running(away: Array, own: dict[int, Ints], order: Iterable[int]) -> Ints:
+        """The farthest of all slabs so far (n, directions), slab after slab."""
+        rows, out = np.arange(len(away)), list[Ints]()
+        for k in order:
+            before, now = out[-1] if out else own[k], own.get(k)
+            out.append(before if now is None else np.where(away[rows, now] > away[rows, before], now, before))
+        return np.array(out)
+
+
+def _on_cut(corners: Array, axis: int, place: float) -> Array:
+    """Where edges of triangles (m, 3, 3) meet a plane across an axis (n, 3)."""
+    away = corners[:, :, axis] - place
+    met = corners[(away.min(axis=1) < 0.0) & (away.max(axis=1) > 0.0)]
+    begin, end = met.reshape(-1, 3), np.roll(met, -1, axis=1).reshape(-1, 3)
+    a, b = begin[:, axis] - place, end[:, axis] - place
+    crossing = a * b < 0.0
+    share = a[crossing] / (a[crossing] - b[crossing])
+    return np.asarray(begin[crossing] + share[:, None] * (end[crossing] - begin[crossing]))
+
+
+def _outermost(points: Array) -> Array | None:
+    """Of points (n, 3) the farthest in each direction (directions, 3); None of no points."""
+    return points[(_DIRECTIONS @ points.T).argmax(axis=1)] if len(points) else None
 
 
 def _side(corners: Array, axis: int, place: float, sign: float) -> Array:

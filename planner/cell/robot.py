@@ -19,7 +19,7 @@ from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import Corrected, InverseKinematics
 from planner.cell.kinematics.offset_wrist import OffsetWrist, read_offset_wrist
 from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
-from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
+from planner.cell.kinematics.seven_axes import FAR, SevenAxes, read_seven_axes
 from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
@@ -237,7 +237,7 @@ def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | Skew
         if kind == "spherical_wrist":
             return read_spherical_wrist(chain)
         file.known("redundant_joint", "joint", redundant, chain.names)
-        return read_seven_axes(chain, chain.names.index(str(redundant)))
+        return read_seven_axes(chain, chain.names.index(str(redundant)), FAR)
     except OtherGeometry as error:
         raise file.error("inverse_kinematics", f"not an arm of the kind {kind}: {error}") from None
 

@@ -142,7 +142,7 @@ class GcodeSpec(SourceSection):
     gcode: Annotated[Path, PATH] = key("gcode", "the file, counted from the folder of the problem file")
     filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
         "filament_diameter_mm",
-        "of the filament that the file was sliced for [mm]; default: process.filament_diameter_mm",
+        "of the filament that the file was sliced for [mm]; default: what the file says, else process.filament_diameter_mm",
         None,
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, whose z = 0 is the bed [mm]", (0, 0, 0))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from planner.base.arguments import as_one_of, as_path
 from planner.base.errors import InputError, OutputError, nearest_name
@@ -15,6 +17,7 @@ from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.problem.settings import LANGUAGE_NAMES
+from planner.robots.face import DEEP, depth, frame_at_the_end
 from planner.robots.files import robot_text
 from planner.robots.survey import Survey, expanded, key_of, survey
 from planner.robots.touching import NOTHING, Touching, touching
@@ -22,6 +25,7 @@ from planner.robots.touching import NOTHING, Touching, touching
 if TYPE_CHECKING:
     import pinocchio
 
+_TRIED, _SAME = 500, 1e-6  # random postures, and rad by which one is the same
 NO_ARGUMENTS: Mapping[str, str] = MappingProxyType({})
 
 
@@ -125,6 +129,21 @@ def added(
         # plainly first: what its bodies are like is looked at as it is read
         file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
         robot = read_robot(file)
+        if tip is None and (end := frame_at_the_end(read, robot, found.outwards)) is not None:
+            found = survey(read, end, named=False)
+            file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
+            robot = read_robot(file)
+        if (deep := depth(robot, found.outwards)) > DEEP:
+            note = (
+                f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
+            )
+            found = replace(found, notes=(*found.notes, note))
+        if found.roughly:
+            note = (
+                "axes of its shoulder or wrist pass each other: postures are found from those of an arm where they meet, and "
+                f"{_missed(robot):.0%} of random ones are missed"
+            )
+            found = replace(found, notes=(*found.notes, note))
         touch = touching(read, robot)
         file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
         return file, Added(found, touch, read_robot(file))
@@ -133,6 +152,18 @@ def added(
         if isinstance(error, OSError):
             raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
         raise
+
+
+def _missed(robot: Robot) -> float:
+    """Share of random postures that the inverse kinematics does not find again from their poses."""
+    inverse, model = robot.inverse, robot.model
+    if inverse is None or inverse.redundant_joint is None:
+        return 0.0
+    low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
+    q = np.random.default_rng(0).uniform(low, high, (_TRIED, len(low)))
+    solved, ok = inverse.solve(inverse.poses(q), q[:, inverse.redundant_joint])
+    away = np.abs((solved - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=2)
+    return 1.0 - float((ok & (away < _SAME)).any(axis=1).mean())
 
 
 def _check_arguments(path: Path, arguments: Mapping[str, str]) -> None:

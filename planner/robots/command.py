@@ -70,7 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return robots_command.main(given)
     options = add_command().parse_args(given[1:])
     errors = Console(stderr=True, highlight=False)
-    return exit_code(lambda: _add(options, errors), partial(errors.print, markup=False, soft_wrap=True))
+    say = partial(errors.print, markup=False, soft_wrap=True)
+    return exit_code(
+        lambda: _add(options, errors), say, "a robot's file that was named above is there, its print is not"
+    )
 
 
 def _add(options: argparse.Namespace, errors: Console) -> int:

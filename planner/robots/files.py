@@ -108,12 +108,13 @@ class TrialNozzle:
     axis: Array
 
 
-def nozzle_of(outwards: Array, bend: float) -> TrialNozzle:
-    """The nozzle before a flange that the last axis leaves along `outwards`, bent by an angle [rad]."""
+def nozzle_of(outwards: Array, bend: float, deep: float = 0.0) -> TrialNozzle:
+    """The nozzle before a flange that the last axis leaves along `outwards`, bent by an angle [rad]; deep: how far the
+    flange's frame lies inside its link [m]."""
     aside = np.eye(3)[int(np.argmin(np.abs(outwards)))]
     aside = aside - (aside @ outwards) * outwards
     axis = np.cos(bend) * outwards + np.sin(bend) * aside / np.linalg.norm(aside)
-    return TrialNozzle(TIP_MM * 1e-3 * outwards, axis)
+    return TrialNozzle((TIP_MM * 1e-3 + deep) * outwards, axis)
 
 
 def print_text(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree as ET
 from xml.parsers.expat import ExpatError
@@ -17,20 +18,25 @@ from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.offset_wrist import read_offset_wrist
 from planner.cell.kinematics.placed_wrist import read_spherical_wrist
-from planner.cell.kinematics.seven_axes import read_seven_axes
+from planner.cell.kinematics.seven_axes import FAR, NEAR, read_seven_axes
 from planner.cell.kinematics.skew_wrist import read_skew_wrist
 from planner.cell.robot import base_to_tip
 from planner.cell.urdf import Urdf, joints_to, model_of
 
 AXES = (6, 7)  # of arms that can be planned with
-FLANGES = ("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee")  # names of flange links, best first
+FLANGES = (  # names of flange links, best first
+    *("tool0", "flange", "ee_link", "tcp", "tool", "link_t", "link_ee", "end_effector_link", "end_effector"),
+)
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
 _TOLD = 6  # arguments of a xacro file, in a hint
-_ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)")
+_ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)[^>]*")
+_INCLUDE = re.compile(r"<xacro:include\s[^>]*?\bfilename\s*=\s*[\"']([^\"']+)")
+_USERS = 3  # files that a hint names
+_LOOKED_AT = 500  # xacro files, for who includes one
 
 
 @dataclass(frozen=True)
@@ -38,7 +44,8 @@ class Survey:
     """What was found of an arm in a URDF, and what was assumed.
 
     tip      link of the flange; outwards (3): which way axis 6 or 7 leaves it, in the tip's frame
-    kind     of its inverse kinematics, and the redundant joint of seven
+    kind     of its inverse kinematics, and the redundant joint of seven; roughly: its axes pass each other by more than a few
+             millimetres, so that postures are missed
     joints   names, base first; ranges [deg] of those that the URDF leaves open; speeds [rad/s], None: the URDF's own
     notes    what was found and assumed, in words
     """
@@ -49,6 +56,7 @@ class Survey:
     outwards: Array
     kind: str
     redundant: str | None
+    roughly: bool
     joints: tuple[str, ...]
     ranges: dict[str, tuple[float, float]]
     speeds: tuple[float, ...] | None
@@ -58,9 +66,10 @@ class Survey:
     notes: tuple[str, ...]
 
 
-def survey(urdf: Urdf, tip: str | None) -> Survey:
-    """Read an arm off a URDF. Raises InputError where none is found, or none that can be planned with."""
-    named = tip is not None
+def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
+    """Read an arm off a URDF; named: whoever asks has named the tip, if there is one. Raises InputError where no arm is found,
+    or none that can be planned with."""
+    named = named and tip is not None
     ways = _arms(urdf)
     if tip is None:
         tip = _flange(urdf, ways)
@@ -71,7 +80,7 @@ def survey(urdf: Urdf, tip: str | None) -> Survey:
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
-    kind, redundant = _kind(urdf, chain)
+    kind, redundant, roughly = _kind(urdf, chain)
     own = [float(speed) for speed in model.velocityLimit]
     speeds = [ASSUMED_SPEED if name in slow else speed for name, speed in zip(chain.names, own, strict=True)]
     acceleration = tuple(_round(speed / RISE) for speed in speeds)
@@ -99,6 +108,7 @@ def survey(urdf: Urdf, tip: str | None) -> Survey:
         outwards=outwards,
         kind=kind,
         redundant=redundant,
+        roughly=roughly,
         joints=chain.names,
         ranges=dict.fromkeys(ranges, (-ASSUMED_TURN, ASSUMED_TURN)),
         speeds=tuple(speeds) if slow else None,
@@ -198,16 +208,18 @@ def _positive(text: str | None) -> bool:
         return False
 
 
-def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
-    """The inverse kinematics that an arm has, and its redundant joint; InputError, with what each lacks, for any other."""
+def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None, bool]:
+    """The inverse kinematics that an arm has, its redundant joint, and whether it is only roughly of that kind; InputError, with
+    what each lacks, for any other."""
     lacking = []
     if len(chain) == 7:
-        for joint in (2, 6):
+        for near, joint in product((NEAR, FAR), (2, 6)):
             try:
-                read_seven_axes(chain, joint)
-                return "seven_axes", chain.names[joint]
+                read_seven_axes(chain, joint, near)
+                return "seven_axes", chain.names[joint], near == FAR
             except OtherGeometry as error:
-                lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
+                if near == FAR:
+                    lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
     else:
         kinds = (
             ("spherical_wrist", read_spherical_wrist),
@@ -217,7 +229,7 @@ def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None]:
         for name, read in kinds:
             try:
                 read(chain)
-                return name, None
+                return name, None, False
             except OtherGeometry as error:
                 lacking.append(f"{name}: {error}")
     raise InputError("this arm has no inverse kinematics that is known here", file=urdf.path, hint="; ".join(lacking))
@@ -256,12 +268,13 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
     before = len(xacro.all_includes)
     try:
         packages.look_in([str(around)])
-        made = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
+        given = {**_of_root(path), **arguments}
+        made = XacroDoc.from_file(str(path), subargs=given, resolve_packages=False)
         text = str(made.to_urdf_string())
     except (xacro.XacroException, ExpatError, OSError, ValueError, RuntimeError) as error:
         words = " ".join(str(error).split())[:300]
         known = _arguments_in([path]) if path.is_file() else []
-        if "Undefined substitution argument" in words and known:
+        if known and (not arguments or "Undefined substitution argument" in words):
             some = ", ".join([*known[:_TOLD], *("…" for _ in known[_TOLD : _TOLD + 1])])
             words += f"; the file has {some}: give them behind it, as in {known[0]}:=…"
         raise InputError("xacro does not take it", file=path, hint=words) from None
@@ -271,7 +284,40 @@ def expanded(path: Path, arguments: Mapping[str, str]) -> str:
             near = nearest_name(name, known)
             hint = f"did you mean {near}?" if near else f"it has {', '.join(known) or 'none'}"
             raise InputError(f"has no argument {name!r}", file=path, hint=hint)
+    if "<link" not in text:
+        users = _users_of(path.resolve(), around)
+        hint = f"the robot is made by {' or '.join(users[:_USERS])}" if users else "add the file that makes the robot"
+        raise InputError("makes no links: it is there for other files to include", file=path, hint=hint)
     return text
+
+
+def _of_root(path: Path) -> dict[str, str]:
+    """Arguments that the first element asks for, of which the file says a value only after it: xacro has not read it by then."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+    root = re.search(r"<robot\b[^>]*>", text)
+    asked = re.findall(r"\$\(arg\s+(\w+)\)", root[0]) if root else []
+    said = {
+        match[1]: re.search(r"\bdefault\s*=\s*[\"']([^\"'$]*)[\"']", match[0]) for match in _ARGUMENT.finditer(text)
+    }
+    return {name: value[1] for name in asked if (value := said.get(name)) is not None}
+
+
+def _users_of(path: Path, around: Path) -> list[str]:
+    """Names of the files around a xacro file that include it, on their own or by others, and that none includes."""
+    texts = {
+        file: file.read_text(encoding="utf-8", errors="replace")
+        for file in sorted(around.rglob("*.xacro"))[:_LOOKED_AT]
+    }
+    includes = {file: {name.rsplit("/", 1)[-1] for name in re.findall(_INCLUDE, text)} for file, text in texts.items()}
+    found, tops, seen = [path], list[Path](), {path}
+    while found:
+        name = found.pop(0)
+        users = [file for file, own in includes.items() if name.name in own and file != name]
+        if not users and name != path:
+            tops.append(name)
+        found += [file for file in users if file not in seen]
+        seen.update(users)
+    return [file.name for file in tops]
 
 
 def _arguments_in(files: Iterable[Path]) -> list[str]:

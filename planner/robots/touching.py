@@ -7,8 +7,9 @@ joints: as hulls, and as the URDF draws them, triangle by triangle.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import coal
@@ -32,6 +33,9 @@ BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not:
 PIECES = (4, 8)  # tried, fewest first
 
 Placed = tuple[coal.CollisionGeometry, Array]
+Drawn = Callable[
+    [int], list[Placed]
+]  # of a joint's links, as they are drawn: read once, which takes longer than all postures
 
 
 @dataclass(frozen=True)
@@ -56,19 +60,20 @@ class _Shares(NamedTuple):
 def touching(urdf: Urdf, robot: Robot) -> Touching:
     """Compare all links of an arm that are two or three joints apart."""
     out, bodies = NOTHING, robot.bodies
+    drawn: Drawn = cache(lambda joint: _drawn(urdf, robot, joint))
     for apart in APART:
         for i in range(len(bodies) - apart):
             if bodies[i] and bodies[i + apart]:
-                own = _judged(urdf, robot, (i, i + apart))
+                own = _judged(urdf, robot, drawn, (i, i + apart))
                 out = Touching(out.may_touch + own.may_touch, out.pieces | own.pieces, out.notes + own.notes)
     return out
 
 
-def _judged(urdf: Urdf, robot: Robot, between: tuple[int, int]) -> Touching:
+def _judged(urdf: Urdf, robot: Robot, drawn: Drawn, between: tuple[int, int]) -> Touching:
     """What to say of the bodies that two joints carry."""
     first, second = (robot.bodies[k] for k in between)
     postures = _postures(robot, *between)
-    found = _shares(urdf, robot, (first, second), between, postures)
+    found = _shares(drawn, (first, second), between, postures)
     both = f"{_names(first)} and {_names(second)}"
     if not SELDOM < found.hulls < 1.0:  # those that touch always are left out wherever collisions are looked for
         return NOTHING
@@ -80,7 +85,7 @@ def _judged(urdf: Urdf, robot: Robot, between: tuple[int, int]) -> Touching:
         how = "never touch as they are drawn" if found.drawn == 0.0 else "are drawn into each other"
         note = f"{both} {how}, and their hulls touch in {found.hulls:.0%} of postures: not looked at"
         return Touching(_pairs(first, second), {}, (note,))
-    better = _cut(urdf, robot, between, postures, found) if found.hulls - found.drawn > BENT else {}
+    better = _cut(urdf, robot, drawn, between, postures, found) if found.hulls - found.drawn > BENT else {}
     if not better:
         return NOTHING
     note = f"{' and '.join(better)} cut into up to {max(better.values())} convex pieces: a hull fills the bend"
@@ -112,20 +117,16 @@ def _postures(robot: Robot, i: int, j: int) -> list[Array]:
 
 
 def _shares(
-    urdf: Urdf,
-    robot: Robot,
-    bodies: tuple[Sequence[Body], Sequence[Body]],
-    between: tuple[int, int],
-    postures: list[Array],
+    drawn: Drawn, bodies: tuple[Sequence[Body], Sequence[Body]], between: tuple[int, int], postures: list[Array]
 ) -> _Shares:
     own, other = ([_placed(body) for body in each] for each in bodies)
     near = [_distance(own, other, T) < NEAR for T in postures]
     if not any(near):
         return _Shares(0.0, None)
-    drawn = [_drawn(urdf, robot, k) for k in between]
-    if not (drawn[0] and drawn[1]):
+    first, second = (drawn(k) for k in between)
+    if not (first and second):
         return _Shares(float(np.mean(near)), None)
-    meet = [close and _meet(drawn[0], drawn[1], T) for close, T in zip(near, postures, strict=True)]
+    meet = [close and _meet(first, second, T) for close, T in zip(near, postures, strict=True)]
     return _Shares(float(np.mean(near)), float(np.mean(meet)))
 
 
@@ -176,15 +177,18 @@ def _transform(T: Array) -> coal.Transform3s:
     return coal.Transform3s(T[:3, :3], T[:3, 3])
 
 
-def _cut(urdf: Urdf, robot: Robot, between: tuple[int, int], postures: list[Array], found: _Shares) -> dict[str, int]:
+def _cut(
+    urdf: Urdf, robot: Robot, drawn: Drawn, between: tuple[int, int], postures: list[Array], found: _Shares
+) -> dict[str, int]:
     """The links to cut into pieces so that hulls touch in at most half of the postures in which they do in vain."""
+    own = {body.link for k in between for body in robot.bodies[k]}
     links = dict.fromkeys(body.link for k in between for body in robot.bodies[k] if isinstance(body.solid, Hull))
     vain = found.hulls - (found.drawn or 0.0)
     for most in PIECES if links else ():
         wanted = dict.fromkeys(links, most)
-        bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted))
+        bodies = read_bodies(urdf, robot.model, BodyRules(pieces=wanted), own)
         pair = (bodies[between[0]], bodies[between[1]])
-        after = _shares(urdf, replace(robot, bodies=bodies), pair, between, postures)
+        after = _shares(drawn, pair, between, postures)
         if after.hulls - (found.drawn or 0.0) <= 0.5 * vain:
             return {link: most for link in links if sum(body.link == link for each in pair for body in each) > 1}
     return {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -17,11 +18,13 @@ from planner.plan import Plan
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem.problem import parse_problem
+from planner.robots.face import DEEP, depth
 from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
 PLACES = 20  # best places that are looked at, one after another
 PLANS = 6  # that are tried with each nozzle: those of places without a posture that is free cost next to nothing
+LONGEST = 240.0  # s after which no further place is looked at
 HOMES = 4  # postures that are tried at each
 BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
 
@@ -53,9 +56,13 @@ def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> 
     waypoints = file.parent / f"{name}.txt"
     waypoints.write_text(cap.waypoints, encoding="utf-8")
     reason = f"no place was found where it reaches all of a cap of {cap.radius * 1e3:g} mm"
-    for nozzle in (nozzle_of(outwards, bend) for bend in BENDS):
+    deep = depth(robot, outwards)
+    deep, ends = deep if deep > DEEP else 0.0, time.monotonic() + LONGEST
+    for nozzle in (nozzle_of(outwards, bend, deep) for bend in BENDS):
         planned = 0
         for place in _places(robot, nozzle, cap, far):
+            if time.monotonic() > ends:
+                break
             tried = _tried(robot, file, name, nozzle, place, cap)
             if isinstance(tried, Trial):
                 return tried

@@ -40,12 +40,13 @@ class JointAxes:
         R, origin = frame[:3, :3], frame[:3, 3]
         return JointAxes((self.points - origin) @ R, self.directions @ R)
 
-    def meet(self, i: int, j: int) -> Array:
-        """Point (3) on axis i where it meets axis j, to which it is square; OtherGeometry if they do not."""
+    def meet(self, i: int, j: int, near: float = _NEAR) -> Array:
+        """Point (3) on axis i where it meets axis j, to which it is square; OtherGeometry if it passes that by more than
+        `near` [m]."""
         self.square(i, j)
         apart = self.points[j] - self.points[i]
         gap = abs(apart @ np.cross(self.directions[i], self.directions[j]))
-        if gap > _NEAR:
+        if gap > near:
             raise OtherGeometry(f"axes {i + 1} and {j + 1} pass each other by {gap * 1e3:.1f} mm")
         return np.asarray(self.points[i] + (apart @ self.directions[i]) * self.directions[i])
 

@@ -24,7 +24,9 @@ from planner.cell.kinematics.axes import OtherGeometry, about_y, about_z, at, ax
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.seven_axes_kernel import BRANCHES, SEVENTH, THIRD
 
-_NEAR = 5e-3  # m: as in an arm that was measured
+NEAR = 5e-3  # m: as in an arm that was measured
+FAR = 0.12  # m by which axes may pass each other where Newton's method is to find postures from those of the ideal arm, and
+_FAR_WRIST = 0.03  # m those of the wrist, with joint 3 given: with joint 7 given they need not meet
 
 
 @dataclass(frozen=True)
@@ -84,15 +86,16 @@ class SevenAxes:
         return np.ascontiguousarray(np.ravel(redundant), dtype=np.float64)
 
 
-def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:
-    """Read lengths and offsets off a chain from base to flange; OtherGeometry if it is not of this kind."""
+def read_seven_axes(chain: Chain, redundant_joint: int, near: float = NEAR) -> SevenAxes:
+    """Read lengths and offsets off a chain from base to flange; OtherGeometry if it is not of this kind, its axes passing those
+    that they ought to meet by more than `near` [m]."""
     if len(chain) != 7:
         raise OtherGeometry(f"it has {len(chain)} joints, not 7")
     lines, T_base_flange = axes_at_zero(chain)
-    T = T_base_shoulder = from_zy(lines.meet(0, 1), lines.directions[0], lines.directions[1])
+    T = T_base_shoulder = from_zy(lines.meet(0, 1, near), lines.directions[0], lines.directions[1])
     local = lines.seen_from(T)
     local.square(1, 2)
-    if np.linalg.norm(np.cross(local.points[2], local.directions[2])) > _NEAR:
+    if np.linalg.norm(np.cross(local.points[2], local.directions[2])) > near:
         raise OtherGeometry("axes 1, 2, 3 do not meet in one point")
     offsets = np.zeros(7)
     for i in range(1, 6):  # theta_i turns the frame so that its z (even i: its y) is the axis of joint i + 1
@@ -107,15 +110,15 @@ def read_seven_axes(chain: Chain, redundant_joint: int) -> SevenAxes:
         elif i == 3:
             local = lines.seen_from(T)
             a4, aside, _ = local.points[4]
-            d5 = local.meet(4, 5)[2]
-            if abs(aside) > _NEAR:
+            d5 = local.meet(4, 5, near)[2]
+            if abs(aside) > near:
                 raise OtherGeometry("the forearm's axis passes beside the elbow's plane")
             T = T @ at(a4, 0.0, d5)
     local = lines.seen_from(T)
     a6, y6, _ = local.points[6] - local.points[6, 2] * local.directions[6]
     if redundant_joint not in (THIRD, SEVENTH):
         raise OtherGeometry("the redundant joint can be joint 3 or joint 7")
-    if redundant_joint == THIRD and np.hypot(a6, y6) > _NEAR:
+    if redundant_joint == THIRD and np.hypot(a6, y6) > min(near, _FAR_WRIST):
         raise OtherGeometry("axes 5, 6, 7 do not meet in one point: the redundant joint can only be joint 7")
     T_flange_7 = np.linalg.inv(T_base_flange) @ T @ at(a6, y6, 0.0)
     lengths = [a3, d3, a4, d5, a6, y6]

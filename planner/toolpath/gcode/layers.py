@@ -18,7 +18,7 @@ from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import SectionName
 from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.gcode.reader import GcodeFile, read_gcode
-from planner.toolpath.gcode.threads import SIZES, ChosenThreads, PrintedThread, choose
+from planner.toolpath.gcode.threads import SIZES, ChosenThreads, PrintedThread, choose, diameter_of
 from planner.toolpath.plane_paths import SAMPLES_PER_TOLERANCE, PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.workload import check_threads, longest
@@ -107,12 +107,12 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
     origin = np.asarray(source.origin)
     check_threads(problem, [step.thread.length for step in chosen.steps], [step.layer for step in chosen.steps])
     check_sizes(problem, spec, read, chosen)  # of all layers, before any is laid
-    filament = _filament(problem, spec, read)
+    filament = _filaments(problem, spec, read)
     file, materials = source.gcode, _materials(problem, spec, chosen.steps)
     beads = []
     for number, step in enumerate(chosen.steps, 1):
         name = f"path {number}" + (f" ({step.thread.kind})" if step.thread.kind else "")
-        curve, sizes = _laid(step, process.corner_tolerance, filament, process.section, file, name)
+        curve, sizes = _laid(step, process.corner_tolerance, filament[step.thread.tool], process.section, file, name)
         beads.append(_bead(step, curve, sizes, origin, materials[step.thread.tool]))
     notes = (*chosen.notes, *_sizes_and_speeds(file, read, beads))
     return Toolpath(tuple(beads), LevelLayers.of(beads), notes=notes, told=Told(chosen.left_out))
@@ -120,16 +120,18 @@ def slicer_print(problem: Problem, spec: GcodeLayersSpec) -> Toolpath:
 
 def check_sizes(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile, chosen: ChosenThreads) -> None:
     """Raise InputError, as `slicer_print` does, for a thread that extrudes for no bead that can be meant."""
-    process, filament = problem.process, _filament(problem, spec, read)
+    process, filament = problem.process, _filaments(problem, spec, read)
     for step in (*chosen.steps, *chosen.above):
         samples = max(int(step.thread.length / process.corner_tolerance * SAMPLES_PER_TOLERANCE), 8) + 1
-        sizes_of(step, filament, process.section, spec.source.gcode, samples)
+        sizes_of(step, filament[step.thread.tool], process.section, spec.source.gcode, samples)
 
 
-def _filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> float:
-    """Cross-section of the filament that E counts [m^2]."""
-    diameter = spec.source.filament_diameter or problem.process.filament_diameter
-    return VOLUMETRIC if read.volume else 0.25 * float(np.pi) * diameter**2
+def _filaments(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> dict[int, float]:
+    """Cross-section of the filament that E counts [m^2], by tool."""
+    tools = {thread.tool for thread in read.threads}
+    if read.volume:
+        return dict.fromkeys(tools, VOLUMETRIC)
+    return {tool: 0.25 * float(np.pi) * diameter_of(tool, problem, spec, read) ** 2 for tool in tools}
 
 
 def _materials(problem: Problem, spec: GcodeLayersSpec, steps: Sequence[PrintedThread]) -> dict[int, str]:

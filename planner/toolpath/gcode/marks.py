@@ -42,6 +42,13 @@ STRETCH = re.compile(r"(CP (?:TOOLCHANGE|EMPTY GRID|PRIMING)|FLUSH|WIPE_TOWER)[ 
 _START_ENDS = re.compile(r"^G21\b[^;\n]*; set units to millimeters", re.MULTILINE)  # Slic3r's first line of its own
 _LAYER_HEIGHT = re.compile(rf"^;[ \t]*(?:Layer height: |layer_height = )({NUMBER})", re.MULTILINE)
 _VOLUME = re.compile(r"^;FLAVOR:(?:UltiGCode|.*\(Volumetric\))|^; use_volumetric_e = 1", re.MULTILINE)
+# of the filament that E counts, by tool: PrusaSlicer and what comes from it, ideaMaker, KISSlicer, Simplify3D, FlashPrint, IceSL
+_DIAMETER = re.compile(
+    r"^;[ \t]*(?:filament_diameter[ \t]*[=:]|Filament Diameter #\d+:|fiber_dia_mm =|filamentDiameters?,|filament_diameter\d+:"
+    rf"|filament_diameter_mm_\d+[ \t]*:)[ \t]*({NUMBER}(?:[,|][ \t]*{NUMBER})*)",
+    re.MULTILINE,
+)
+_DIAMETERS = (0.5, 10.0)  # mm: of filaments there are
 _SAID = re.compile(r"^[ \t]*M8[23]\b", re.MULTILINE)
 _FILAMENT = re.compile(rf"^(?:G92\b|G0?1 [^;\n]*[XY][^;\n]*E({NUMBER}))", re.MULTILINE)
 _LOOKED_AT = 4000  # moves
@@ -50,7 +57,7 @@ _EQUAL = 10.0  # times as often as it changes: steps of one length; travel may b
 
 OWN = "the printer's own"
 PURGE, SKIRT, BRIM, SUPPORT, IRONING = "purge", "skirt", "brim", "support", "ironing"
-_TRAVEL = "destring", "travel", "wipe"  # what KISSlicer calls its ways between paths
+_TRAVEL = re.compile(r"destring|travel|wipe(?![ -]tower)")  # what KISSlicer calls its ways between paths
 
 
 @cache
@@ -78,7 +85,7 @@ def kind_in(text: str) -> str | None:
     if match is None:
         return text if text in _KINDS_ALONE else None
     kind = (match[1] or match[2]).strip()
-    return None if kind.lower().startswith(_TRAVEL) else kind
+    return None if _TRAVEL.match(kind.lower()) else kind
 
 
 # comments that are a kind and nothing else: of Slic3r behind its lines, where it was asked for them, and of Simplify3D 3
@@ -92,8 +99,27 @@ _KINDS_ALONE = frozenset(
 
 def slicer_of(text: str) -> str:
     """What wrote a file, by what it says of itself; nothing where it does not say."""
-    ends = text if len(text) < 2 * _ENDS else f"{text[:_ENDS]}\n{text[-_ENDS:]}"
+    ends = _ends(text)
     return next((name for name, pattern in _SLICERS if pattern.search(ends)), "")
+
+
+def _ends(text: str) -> str:
+    return text if len(text) < 2 * _ENDS else f"{text[:_ENDS]}\n{text[-_ENDS:]}"
+
+
+def diameters(text: str) -> tuple[float, ...]:
+    """Diameters [m] of the filaments that E counts, that of tool 0 first; nothing where the file does not say."""
+    lists = [[float(each) for each in re.split(r"[,|]", match[1])] for match in _DIAMETER.finditer(_ends(text))]
+    if not lists:
+        return ()
+    # one list of all tools, which a file may hold twice, or a line for each
+    said = max(lists, key=len) if any(len(each) > 1 for each in lists) else [each[0] for each in lists]
+    return tuple(1e-3 * each for each in said) if all(_DIAMETERS[0] <= each <= _DIAMETERS[1] for each in said) else ()
+
+
+def compensates(text: str) -> bool:
+    """Whether M221 is the slicer's own: ideaMaker writes E without its compensation of the filament, which M221 then says."""
+    return slicer_of(text) == "ideaMaker"
 
 
 def marked(text: str) -> bool:

@@ -32,14 +32,14 @@ _MORE = 1.25  # times the length that can be planned, after which the rest of a 
 _LEVEL = 1e-6  # m by which z may change in a level move
 _INCH = 25.4e-3
 _FAST = re.compile(rf"G[01]((?: [XYZEF]{NUMBER})+) *(?=;|$)")  # nearly all lines
-_LINE = re.compile(r"(?:N\d+\s*)?([GMT])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
+_LINE = re.compile(r"(?:N\d+\s*)?([GMTP])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*", re.IGNORECASE)
 # a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
 _WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
 _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
 _ROTARY = "ABC"  # axes that turn the part or the nozzle, and
 _FURTHER = "UVW"  # those that machines have besides
 _AS_WAYPOINTS = "write its points and normals as waypoints: x y z nx ny nz a line, layers.source.waypoints"
-_BRACKETS = re.compile(r"\([^)]*\)")
+_BRACKETS = re.compile(r"\([^()]*\)")
 _HOMING = {"G28", "G161", "G162"}
 _AXES = re.compile(r"[XYZ]\s*[-+.\d]")
 _TOOLS = 100  # greater numbers are no tools: T255 and T1000 mean other things to Bambu's printers
@@ -86,6 +86,8 @@ class GcodeFile:
     volume   E is a volume, in mm^3, not a length: a filament of 1 mm^2
     guessed  E counts from the move before, as the numbers say and no command
     flow     of M221, where it is not all
+    filament diameters [m] of what E counts, that of tool 0 first; empty where the file does not say
+    counted  what M221 says where that is the slicer's own, each value once: E is counted by it
     """
 
     threads: tuple[Thread, ...]
@@ -100,6 +102,8 @@ class GcodeFile:
     volume: bool
     guessed: bool
     flow: float
+    filament: tuple[float, ...] = ()
+    counted: tuple[float, ...] = ()
 
 
 def read_gcode(
@@ -142,6 +146,8 @@ def read_gcode(
         volume=machine.volume,
         guessed=machine.guessed,
         flow=machine.flow,
+        filament=marks.diameters(text),
+        counted=tuple(sorted(machine.counted)),
     )
 
 
@@ -192,6 +198,14 @@ def _lines(text: str) -> Iterator[str]:
     yield text[at:]
 
 
+def _without_brackets(code: str) -> str:
+    """Code without its comments in brackets, which Skeinforge nests."""
+    before = ""
+    while code != before:
+        before, code = code, _BRACKETS.sub(" ", code)
+    return code.strip()
+
+
 class _Machine:
     """A printer that follows the lines: where it is, and what it has extruded."""
 
@@ -216,6 +230,9 @@ class _Machine:
         self.filament_relative: bool | None = True if self.guessed else None  # None: as the other axes
         self.volume = marks.is_volume(text)
         self.flow = 1.0
+        self.compensated = marks.compensates(text)
+        self.flows: dict[int, float] = {}  # of each tool, by which E is counted then, and
+        self.share_of_e, self.counted = 1.0, set[float]()  # that of this one, and those of all that was extruded
         self.speed = math.nan
         self.plane = "G17"
         self.others = dict.fromkeys(_ROTARY + _FURTHER, 0.0)  # where other axes are, and
@@ -268,7 +285,7 @@ class _Machine:
             return
         code = line.partition(";")[0].strip()
         if "(" in code:
-            code = _BRACKETS.sub(" ", code).strip()
+            code = _without_brackets(code)
         if code:
             self._follow(code)
 
@@ -286,6 +303,9 @@ class _Machine:
             self.commands[command](rest)
         elif letter == "T":
             self._take(name)
+        elif letter == "P":  # Prusa's printers of several tools park one so
+            self.close()
+            self._pass(command)
         elif letter == "G" and self.printing and name in ("5", "5.1", "6") and _AXES.search(rest.upper()):
             raise self._wrong(f"{command} is not known", "moves are G0, G1, G2 and G3")
         else:
@@ -357,6 +377,7 @@ class _Machine:
         number = int(float(tool))
         if number < _TOOLS:
             self.tool = number
+            self.share_of_e = self.flows.get(number, 1.0)
 
     def _take_plane(self, plane: str, rest: str) -> None:
         self.plane = plane
@@ -372,8 +393,15 @@ class _Machine:
 
     def _take_flow(self, rest: str) -> None:
         match = re.search(rf"S\s*({NUMBER})", rest)
-        if match:
-            self.flow = 0.01 * float(match[1])
+        if match is None:
+            return
+        flow = 0.01 * float(match[1])
+        if not self.compensated:
+            self.flow = flow
+            return
+        tool = re.search(r"T\s*(\d+)", rest)
+        self.flows[int(tool[1]) if tool else self.tool] = flow
+        self.share_of_e = self.flows.get(self.tool, 1.0)
 
     def _count(self, relative: bool, rest: str) -> None:
         self.relative = relative
@@ -459,7 +487,7 @@ class _Machine:
         if "E" in words:
             relative = self.relative if self.filament_relative is None else self.filament_relative
             end = unit * words["E"] + (self.filament if relative else 0.0)
-            pushed, self.filament = end - self.filament, end
+            pushed, self.filament = (end - self.filament) * self.share_of_e, end
         if pushed > 0.0 and (self.moved or self.turned):
             self._check_others()
         if "F" in words:
@@ -554,6 +582,8 @@ class _Machine:
             slow, fast = self.speeds
             if self.speed < slow or self.speed > fast:
                 self.speeds = min(slow, self.speed), max(fast, self.speed)
+        if self.share_of_e != 1.0:
+            self.counted.add(self.share_of_e)
         self.moves += 1
         self.length += math.hypot(x - x0, y - y0)
         if self.moves > GCODE_MOVES.most or self.length > _MORE * self.longest:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
     another, the threads are printed by height. Raises InputError where too much would be left out, or too little is left.
     """
     file = spec.source.gcode
-    notes = list(_of_file(file, read))
+    notes = [*_of_file(file, read), *_of_filament(problem, spec, read)]
     kept, told = _without_shares(problem, spec, read)
     notes += told
     kept, told = _levelled(file, kept, read.height)
@@ -107,9 +107,43 @@ def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
         yield f"{file.name}: neither M82 nor M83 says how E counts; from the move before, as its numbers do"
     if read.flow != 1.0:
         yield f"{file.name}: M221 asks the printer for {read.flow:.0%} of its flow, which is its own matter"
+    if read.counted:
+        flows = ", ".join(f"{flow:.0%}" for flow in read.counted)
+        yield f"{file.name}: M221 is the slicer's own compensation of the filament: {flows} of E is laid"
     tools = sorted({thread.tool for thread in read.threads})
     if len(tools) > 1:
         yield f"{file.name}: tools {', '.join(map(str, tools))} print in turn; here one nozzle lays all of it"
+
+
+def diameter_of(tool: int, problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> float:
+    """Diameter [m] of the filament that E of a tool counts: what the problem says of the file, what the file says, or that of
+    the process."""
+    if spec.source.filament_diameter is not None:
+        return spec.source.filament_diameter
+    if not read.filament:
+        return problem.process.filament_diameter
+    return read.filament[tool if tool < len(read.filament) else 0]
+
+
+def _of_filament(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> Iterator[str]:
+    """What filament E counts, where that is not said once and for all."""
+    file, own = spec.source.gcode.name, problem.process.filament_diameter
+    if read.volume:
+        return
+    tools = sorted({thread.tool for thread in read.threads})
+    used = _millimetres(diameter_of(tool, problem, spec, read) for tool in tools)
+    if spec.source.filament_diameter is not None:
+        if read.filament and (said := _millimetres(read.filament)) != used:
+            yield f"{file}: says that its E counts a filament of {said} mm; layers.source.filament_diameter_mm, {used} mm, is taken"
+    elif not read.filament:
+        yield f"{file}: does not say what filament its E counts; one of {used} mm is taken, process.filament_diameter_mm"
+    elif used != _millimetres([own]):
+        yield f"{file}: its E counts a filament of {used} mm, as it says; process.filament_diameter_mm is what yours pushes"
+
+
+def _millimetres(diameters: Iterable[float]) -> str:
+    """Diameters [m] in words, each once."""
+    return ", ".join(dict.fromkeys(f"{1e3 * each:.4g}" for each in diameters))
 
 
 def _without_shares(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> tuple[list[Thread], list[str]]:

@@ -1,0 +1,76 @@
+"""Whether a flange's frame stands at the end of the link that it belongs to.
+
+Some URDFs begin their last link where the axes of the wrist meet, 50 to 200 mm inside it. A nozzle that is measured from the
+flange would be as much too long; so another frame at the end is taken instead, or it is said how deep the frame lies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planner.base.arrays import Array
+from planner.cell.robot import Robot, base_to_tip
+from planner.cell.solids import Hull, triangles_of
+from planner.cell.urdf import Urdf, joints_to, link_frame
+
+DEEP = 10e-3  # m: a frame no deeper is at the end, whatever stands out of it, a pin or a screw
+NEAR = 5e-3  # m from the end, of a frame that is there
+ASIDE = 1e-3  # m from the last axis
+
+
+def depth(robot: Robot, outwards: Array) -> float:
+    """How far the bodies of the last joint reach beyond the flange's frame [m], on the last axis; 0 if they do not.
+
+    outwards: where the axis leaves the flange (3), in the flange's frame.
+    """
+    T_flange_last = np.linalg.inv(base_to_tip(robot.model, robot.tip).T_last_tip)
+    deepest = 0.0
+    for body in robot.bodies[-1]:
+        T = T_flange_last @ body.T_frame_solid
+        points = triangles_of(body.solid)[0] @ T[:3, :3].T + T[:3, 3]
+        deepest = max(deepest, _leaves(Hull(points).planes, outwards))
+    return deepest
+
+
+def _leaves(planes: Array, along: Array) -> float:
+    """How far from the origin a line leaves a convex body [m]; 0 where it misses it."""
+    height, rate = planes[:, 3], planes[:, :3] @ along
+    out, into, level = rate > 1e-12, rate < -1e-12, np.abs(rate) <= 1e-12
+    if (height[level] > 0.0).any() or not out.any():
+        return 0.0
+    last = float((-height[out] / rate[out]).min())
+    first = float((-height[into] / rate[into]).max(initial=-np.inf))
+    return max(last, 0.0) if first <= last else 0.0
+
+
+def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
+    """An empty link, fixed to the flange's on the last axis, where its bodies end; None if the flange's frame is there, or
+    no such link is. One whose z leaves the arm comes first."""
+    deep = depth(robot, outwards)
+    if deep <= DEEP:
+        return None
+    model, moved = robot.model, _moved(urdf, robot.tip)
+    T_tip = model.frames[link_frame(model, robot.tip)].placement.homogeneous
+    found = []
+    for name in urdf.links():
+        path = [joint.find("child").get("link", "") for joint in joints_to(urdf, name)]  # type: ignore[union-attr]
+        if _moved(urdf, name) != moved or robot.tip not in path[:-1]:
+            continue
+        links = urdf.links()
+        if any(
+            links[link].find(tag) is not None
+            for link in path[path.index(robot.tip) + 1 :]
+            for tag in ("collision", "visual")
+        ):
+            continue
+        T = np.linalg.inv(T_tip) @ model.frames[link_frame(model, name)].placement.homogeneous
+        along = float(T[:3, 3] @ outwards)
+        if np.linalg.norm(T[:3, 3] - along * outwards) < ASIDE and abs(along - deep) < NEAR:
+            found.append((-round(float(T[:3, 2] @ outwards), 6), abs(along - deep), name))
+    return min(found)[2] if found else None
+
+
+def _moved(urdf: Urdf, link: str) -> str:
+    """The joint that moves a link and nothing before it."""
+    moving = [joint.get("name", "") for joint in joints_to(urdf, link) if joint.get("type") != "fixed"]
+    return moving[-1] if moving else ""
