@@ -33,9 +33,8 @@ BENT = 0.05  # of the postures in which hulls touch, and the drawn links do not:
 PIECES = (4, 8)  # tried, fewest first
 
 Placed = tuple[coal.CollisionGeometry, Array]
-Drawn = Callable[
-    [int], list[Placed]
-]  # of a joint's links, as they are drawn: read once, which takes longer than all postures
+# A joint's links as they are drawn: read once, which takes longer than all postures.
+Drawn = Callable[[int], list[Placed]]
 
 
 @dataclass(frozen=True)
