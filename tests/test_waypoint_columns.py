@@ -506,6 +506,21 @@ def test_smoothing_is_by_length_and_not_by_number() -> None:
         np.testing.assert_allclose(smooth_normals(true, s, 0.1)[0][inner], true[inner], atol=5e-4)
 
 
+@pytest.mark.parametrize("close", [0.1, 0.03, 0.021])
+def test_waypoints_close_together_turn_no_faster_than_others(close: float) -> None:
+    """What is smooth over the path's length is so between two waypoints that hardly are apart: a curve through all of them
+    swings out where their normals differ by more than their distance is worth."""
+    rng = np.random.default_rng(3)
+    step = np.full(60, 0.5e-3)
+    step[29:31] = close * 0.5e-3
+    s = np.concatenate([[0.0], np.cumsum(step)])
+    lean = 0.1 * np.sin(2.0 * np.pi * s / 0.04) + rng.normal(0.0, 0.01, len(s))
+    noisy = np.column_stack([np.sin(lean), 0.0 * s, np.cos(lean)])
+    smooth, _ = smooth_normals(noisy, s, np.radians(3.0))
+    turning = np.linalg.norm(np.diff(smooth, axis=0), axis=1) / np.diff(s)
+    assert turning[29:31].max() < 1.1 * max(turning[28], turning[31])
+
+
 @pytest.mark.parametrize(
     ("wave", "swing_deg", "step"), [(20.0, 20.0, 2.0), (20.0, 45.0, 1.0), (30.0, 30.0, 2.0), (10.0, 20.0, 0.5)]
 )
