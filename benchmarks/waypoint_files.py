@@ -238,7 +238,8 @@ def _up(mean: Array, spread: Array, growth: Array | None) -> str:
         return "x"
     if max(abs(mean[1]), abs(mean[2])) > LEANING:
         return "y" if abs(mean[1]) > abs(mean[2]) else "z"
-    return "y" if spread[1] < AVOIDED * spread[2] else "z"
+    least = int(np.argmin(spread))
+    return "xyz"[least] if spread[least] < AVOIDED * float(np.delete(spread, least).min()) else "z"
 
 
 def _own_bead(spacing: Spacing, to_mm: float, bead: tuple[float, float]) -> tuple[float, float] | None:

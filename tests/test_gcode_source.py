@@ -366,6 +366,7 @@ WRONG = [
     ("G1 C90 E1", "C moves while material flows", "layers.source.waypoints"),
     ("G0 B-30\nG1 X9 E1", "material flows with B at -30", "layers.source.waypoints"),
     ("G0 A90\nG2 X9 I4.5 E1", "material flows with A at 90", "layers.source.waypoints"),
+    ("G1 X9 I0.5 J0 K0.866 E1", "tool's axis (I, J, K) at 0.5 0 0.866", "layers.source.waypoints"),
     ("G91\nM83\nG1 X9 U5 E1", "U moves while material flows", "layers.source.waypoints"),
 ]  # fmt: skip
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from numpy.typing import NDArray
 from planner.base.errors import Refusal
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
+from planner.resolve.infeasible import _collision
 from planner.resolve.joint_path import JointPath, flange_poses
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
@@ -119,3 +122,11 @@ def test_the_tilt_that_is_named_is_the_least_that_has_a_posture(toolpath: Toolpa
 def test_nothing_is_named_where_nothing_helps(toolpath: Toolpath) -> None:
     """A least singular value beyond what an arm of this size can reach anywhere."""
     assert hints_of(toolpath, "resolve.min_sigma=0.9") == ()
+
+
+@pytest.mark.parametrize(
+    ("margin", "said"), [(-3.42e-3, "3.4 mm"), (-0.11e-3, "0.1 mm"), (-0.0108e-3, "0.011 mm"), (-4e-7, "0.0004 mm")]
+)
+def test_what_lacks_is_never_nothing(margin: float, said: str) -> None:
+    obstacles: Any = SimpleNamespace(names=lambda _: ("nozzle", "part or print"))
+    assert f"every posture lacks {said} of clearance" in _collision(obstacles, 0, margin, "every posture")

@@ -70,6 +70,21 @@ def test_a_motion_that_passes_no_waypoint_is_not_verified(tmp_path: Path) -> Non
     assert kept.ok and not check.ok and check.worst == 180.0
 
 
+@pytest.mark.parametrize("other", [(0.0, 0.995, 0.1), (0.0, 0.995, -0.1), (0.0, 0.0, -1.0)])
+def test_of_waypoints_at_one_place_the_first_counts(tmp_path: Path, other: tuple[float, float, float]) -> None:
+    """Repetitions with normals of their own are not judged, nor do they turn others round; the first of them is judged."""
+    points, normals = line(1.0)
+    twice = np.repeat(points, 2, axis=0)
+    spoilt = np.repeat(normals, 2, axis=0)
+    spoilt[1::2] = other
+    problem = problem_of(tmp_path, twice, spoilt)
+    tip, axis = moving(points, normals)
+    (kept,) = found(problem, tip, axis).checks
+    assert kept.ok and kept.worst < 0.5
+    (check,) = found(problem, tip, turned(axis, slice(100, 130), 3.2)).checks
+    assert not check.ok
+
+
 def turned(axis: Array, where: slice, deg: float) -> Array:
     out = axis.copy()
     c, s = np.cos(np.radians(deg)), np.sin(np.radians(deg))

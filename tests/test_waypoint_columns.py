@@ -164,11 +164,59 @@ def test_spreadsheets_and_titles(
     assert again.start * 1e3 == pytest.approx(np.array(ROWS)[:-1, :3])
 
 
+# a pose that turns about y, with its x, y and z axes
+TURNS = np.linspace(0.1, 0.6, 5)
+PLACES = np.column_stack([np.arange(5.0), np.full(5, 2.0), np.full(5, 0.5)])
+AXES = np.stack(
+    [
+        np.column_stack([np.cos(TURNS), 0 * TURNS, -np.sin(TURNS)]),
+        np.tile([0.0, 1.0, 0.0], (5, 1)),
+        np.column_stack([np.sin(TURNS), 0 * TURNS, np.cos(TURNS)]),
+    ],
+    axis=2,
+)
+POSES = np.concatenate([AXES, PLACES[:, :, None]], axis=2)
+LAST = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+COLUMNWISE = np.concatenate([POSES, LAST[:, None]], axis=1).transpose(0, 2, 1).reshape(5, 16)
+QUATERNIONS = np.column_stack([0 * TURNS, np.sin(TURNS / 2), 0 * TURNS, np.cos(TURNS / 2)])
+
+
+def numbers(*columns: np.ndarray) -> str:
+    """Lines of numbers without names."""
+    return "\n".join(" ".join(f"{value:.5f}" for value in row) for row in np.column_stack(columns)) + "\n"
+
+
 @pytest.mark.parametrize(
     ("text", "reason", "hint"),
     [
         ("x,y,z,nx,ny,nz\nm,m,m,-,-,-\n0,0,0,0,0,1\n1,0,0,0,0,1\n", "column x is in m, but", "unit: m"),
         ("0 0 0 0.6 0 0.8 0\n1 0 0 0 0.7071 0.7071 0\n2 0 0 0.5 0.5 0.5 0.5\n", "a quaternion a line", "nx ny nz"),
+        (numbers(PLACES, QUATERNIONS, TURNS), "a quaternion a line, as of tool poses", "nx ny nz"),
+        (numbers(TURNS, PLACES, QUATERNIONS), "as of tool poses in columns 5 to 8", "nx ny nz"),
+        (numbers(POSES.reshape(5, 12), LAST), "the matrix of a pose", "its position and the direction"),
+        (numbers(POSES.reshape(5, 12)), "the matrix of a pose", "its position and the direction"),
+        (numbers(COLUMNWISE), "the matrix of a pose", "its position and the direction"),
+        (
+            numbers(AXES.transpose(0, 2, 1).reshape(5, 9)),
+            "three axes of a frame in each line, and no point",
+            "its position",
+        ),
+        (
+            numbers(PLACES, AXES.transpose(0, 2, 1).reshape(5, 9)),
+            "a point and the three axes",
+            "of the axes the direction",
+        ),
+        (
+            numbers(np.arange(5.0), PLACES, AXES[:, :, 2]),
+            "directions in columns 5 to 7, not in 4 to 6",
+            "a line of names",
+        ),
+        (
+            f"t,a,b,c,nx,ny,nz\n{numbers(np.arange(5.0), PLACES, AXES[:, :, 2])}",
+            "columns x, y, z are missing",
+            "x y z nx",
+        ),
+        (f"tip_a,tip_b,tip_c,q_x,q_y,q_z\n{numbers(PLACES, AXES[:, :, 2])}", "are missing", "columns: x y z"),
     ],
 )
 def test_what_is_meant_otherwise_is_refused(
@@ -184,6 +232,29 @@ def test_a_seventh_column_beside_normals_is_passed_over(spec: Callable[..., Wayp
         spec("a.txt", "0 0 0 0 0 1 0\n1 0 0 0 0.6 0.8 0\n2 0 0 0 0 1 0.5\n", smooth_normals_deg=0)
     ).beads
     assert len(bead.points) == 3
+
+
+@pytest.mark.parametrize(
+    "head",
+    ["pos_x,pos_y,pos_z,normal_x,normal_y,normal_z", "X (mm),Y (mm),Z (mm),Normal X,Normal Y,Normal Z",
+     '"Points:0","Points:1","Points:2","Normals:0","Normals:1","Normals:2"', "px,py,pz,n_x,n_y,n_z"],
+)  # fmt: skip
+def test_names_as_tables_are_exported(spec: Callable[..., WaypointsSpec], head: str) -> None:
+    """The order of columns is that of the names, not that of lines without."""
+    words = [*head.split(",")[3:], *head.split(",")[:3]]
+    rows = "\n".join(",".join(map(str, [*row[3:], *row[:3]])) for row in ROWS)
+    found = read_waypoints(spec("a.csv", f"{','.join(words)}\n{rows}\n", smooth_normals_deg=0))
+    assert found.beads[0].points * 1e3 == pytest.approx(np.array(ROWS)[:, :3])
+    assert found.beads[0].normals == pytest.approx(np.array(ROWS)[:, 3:]) and not found.notes
+
+
+def test_angles_without_names_are_told(spec: Callable[..., WaypointsSpec]) -> None:
+    """Three angles look like a normal; that its length is none of a normal's is said."""
+    found = read_waypoints(spec("a.txt", numbers(PLACES, 180.0 + 0 * TURNS, 10.0 * TURNS, 90.0 + TURNS)))
+    assert found.notes == (
+        "a.txt: columns 4 to 6 are taken for normals, though they are 201 to 202 long: they are directions, not angles",
+    )
+    assert not read_waypoints(spec("b.txt", numbers(PLACES, AXES[:, :, 2], 0 * TURNS))).notes
 
 
 def test_columns_that_mean_nothing_are_told(spec: Callable[..., WaypointsSpec]) -> None:
@@ -213,6 +284,15 @@ def test_repeated_waypoints_are_counted(spec: Callable[..., WaypointsSpec]) -> N
     found = read_waypoints(spec("a.csv", csv(columns)))
     assert [bead.points[:, 0].tolist() for bead in found.beads] == [[0, 1e-3, 2e-3], [2e-3, 3e-3]]
     assert found.notes == ("a.csv: 2 waypoints that repeat the one before left out",)
+
+
+def test_that_a_repeated_waypoint_says_otherwise_is_told(spec: Callable[..., WaypointsSpec]) -> None:
+    text = "0 0 0 0 0 1\n1 0 0 0 0 1\n1 0 0 1 0 0\n2 0 0 0 0 1\n2 0 0 0 0.01 1\n"
+    found = read_waypoints(spec("a.txt", text))
+    assert found.beads[0].normals == pytest.approx(np.tile([0.0, 0.0, 1.0], (3, 1)))
+    assert found.notes == (
+        "a.txt: 2 waypoints that repeat the one before left out; their normals differ from its by up to 90 degrees",
+    )
 
 
 def test_a_column_of_beads_decides_where_they_end(spec: Callable[..., WaypointsSpec]) -> None:
@@ -504,6 +584,21 @@ def test_smoothing_is_by_length_and_not_by_number() -> None:
         turning = np.linalg.norm(np.gradient(smooth, s, axis=0), axis=1)[inner]
         assert turning.max() < 1.35 * 0.2 * 2.0 * np.pi / 0.06
         np.testing.assert_allclose(smooth_normals(true, s, 0.1)[0][inner], true[inner], atol=5e-4)
+
+
+@pytest.mark.parametrize("close", [0.1, 0.03, 0.021])
+def test_waypoints_close_together_turn_no_faster_than_others(close: float) -> None:
+    """What is smooth over the path's length is so between two waypoints that hardly are apart: a curve through all of them
+    swings out where their normals differ by more than their distance is worth."""
+    rng = np.random.default_rng(3)
+    step = np.full(60, 0.5e-3)
+    step[29:31] = close * 0.5e-3
+    s = np.concatenate([[0.0], np.cumsum(step)])
+    lean = 0.1 * np.sin(2.0 * np.pi * s / 0.04) + rng.normal(0.0, 0.01, len(s))
+    noisy = np.column_stack([np.sin(lean), 0.0 * s, np.cos(lean)])
+    smooth, _ = smooth_normals(noisy, s, np.radians(3.0))
+    turning = np.linalg.norm(np.diff(smooth, axis=0), axis=1) / np.diff(s)
+    assert turning[29:31].max() < 1.1 * max(turning[28], turning[31])
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from planner.collision.point_tree import FROM_THE_START, PointTree, point_tree
 from planner.problem import Problem
 from planner.problem.cell import NozzleSpec
 from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.contacts import BeadContacts, contacts
 
 # ----------------------------------------------------------------------------------------------------
 # Triangles that are far longer than they are wide, cut across: halving their longest sides makes ever thinner ones.
@@ -197,6 +198,9 @@ _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
 _CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath its own
 _CHORD = 2e-3  # m that a picture's triangles may leave the true surface
 _ON = 1e-5  # m: as near is on the surface
+_TURN = 3.0  # widths of a bead that it goes on at least until it lies on itself,
+_LIES = 0.5  # and widths that its line is aside of what it lies on, at most
+_BETWEEN = 0.51  # of the way from one place that lies on something to the next
 PART = "part"
 
 
@@ -260,7 +264,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         radius.append(np.hypot(CLEARANCE, spread) - CLEARANCE)
         time.append(np.full(len(at), FROM_THE_START))
     if corners is None and not beads[0].round:  # nothing is known to be beneath a strut
-        first = [_rows(bead, 1.0)[0] for bead in toolpath.lowest]
+        first = _on_the_part(toolpath.lowest)
         names.append(PART)
         points.append(np.concatenate(first))
         radius.append(np.zeros(len(points[-1])))
@@ -274,6 +278,40 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     first_of = np.concatenate([[0], np.cumsum([len(each) for each in points])]).astype(np.int64)
     tree = point_tree(np.concatenate(points), np.concatenate(radius), np.concatenate(time))
     return PrintBody(tree, first_of, tuple(names), len(bodies))
+
+
+def _on_the_part(beads: Sequence[Bead]) -> list[Array]:
+    """Places (n, 3) one bead's height beneath each of the lowest beads, but where its line lies on an earlier one of them, or on
+    its own earlier turn, as a spiral's does: there is no part there, before that is laid."""
+    lying, found = contacts(beads), []
+    for i, bead in enumerate(beads):
+        places, share, _ = _rows(bead, 1.0)
+        own = np.flatnonzero(lying.upper == i)
+        turn = (lying.lower[own] != i) | (lying.at[own] - lying.below[own] > _TURN * float(bead.width.max()))
+        own = own[
+            turn & (lying.below[own] > 0.0)
+        ]  # a line that climbs steeply does not lie on itself, nor what is before its start
+        own = own[_aside(bead, beads, lying, own) <= _LIES]
+        if len(own):
+            at, s = np.unique(lying.at[own]), share * bead.length
+            k = np.searchsorted(at, s)
+            away = np.minimum(np.abs(s - at[np.maximum(k - 1, 0)]), np.abs(s - at[np.minimum(k, len(at) - 1)]))
+            places = places[away > _BETWEEN * float(lying.around[own].max())]
+        found.append(places)
+    return found
+
+
+def _aside(bead: Bead, beads: Sequence[Bead], lying: BeadContacts, own: Ints) -> Array:
+    """How far aside of what they lie on some places of a bead are (n), in widths of that."""
+    tip, up = (_along(bead.s, values, lying.at[own]) for values in (bead.points, bead.normals))
+    below, width = np.empty_like(tip), np.empty(len(own))
+    for j in np.unique(lying.lower[own]):
+        there, other = lying.lower[own] == j, beads[j]
+        below[there] = _along(other.s, other.points, lying.below[own][there])
+        width[there] = np.interp(lying.below[own][there], other.s, other.width)
+    way = tip - below
+    up = up / np.linalg.norm(up, axis=1)[:, None]
+    return np.asarray(np.linalg.norm(way - (way * up).sum(axis=1)[:, None] * up, axis=1) / width)
 
 
 def standing(cell: Cell) -> tuple[Body, ...]:

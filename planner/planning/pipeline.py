@@ -53,7 +53,7 @@ from planner.planning.leaning import leaning
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
-from planner.planning.short_runs import all_short, may_be_short, with_short_runs
+from planner.planning.short_runs import all_short, dips_in_a_run, may_be_short, with_short_runs
 from planner.planning.tried import hints_that_hold, other_places
 from planner.planning.upright import check_upright
 from planner.problem import Problem, load_problem
@@ -380,12 +380,17 @@ def _as_clear_as_can_be(
         if short is not None:
             with suppress(Refusal):  # other processes know the runs as they were
                 found, given = print_of(short), short
+    dips = "" if found is None else dips_in_a_run(found[1].trajectory, found[1].report)
+    if dips and strategy == DEFAULT and may_be_short(given.problem):
+        with suppress(Refusal):
+            again = print_of(all_short(given, dips))
+            found = again if again[1].verified else found
     stuck = found is None or lacks_clearance_only(found[1].report)
     if stuck and strategy not in UNAWARE and may_come_nearer(given.problem):
         because = "a plan with that comes too near" if refusal is None else str(refusal)
         ways = coming_nearer(given, because, stages, refusal)
         if refusal is not None and refusal.run is not None and strategy == DEFAULT and may_be_short(given.problem):
-            ways = chain(ways, coming_nearer(all_short(given, refusal), because, stages, refusal))
+            ways = chain(ways, coming_nearer(all_short(given, refusal.reason), because, stages, refusal))
         for told, nearer in ways:
             try:  # other processes read the problem as it was
                 again = print_of(nearer)

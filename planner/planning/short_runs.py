@@ -11,12 +11,15 @@ from dataclasses import replace
 
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
+from planner.plan import Trajectory
 from planner.planning.context import PlanningContext, context_of
 from planner.problem import Problem
 from planner.resolve.ladder import ladder
+from planner.verify.verdict import Report
 
 MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
 RUNS = ("run-in", "run-out")
+TIP_CHECK = "nozzle tip outside the part"
 
 
 def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
@@ -41,7 +44,7 @@ def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) ->
         if stuck is None:
             return shortened
         now = stuck
-    return all_short(given, refusal)
+    return all_short(given, refusal.reason)
 
 
 def may_be_short(problem: Problem) -> bool:
@@ -49,10 +52,19 @@ def may_be_short(problem: Problem) -> bool:
     return "run_in" not in problem.process.model_fields_set
 
 
-def all_short(given: PlanningContext, refusal: Refusal) -> PlanningContext:
-    """The same print with all of its runs shortened."""
+def all_short(given: PlanningContext, because: str) -> PlanningContext:
+    """The same print with all of its runs shortened, and a note that says why."""
     short = dict.fromkeys(range(len(given.toolpath.beads)), (True, True))
-    return _shortened(given, short, f"run-ins and run-outs shortened: {refusal.reason}")
+    return _shortened(given, short, f"run-ins and run-outs shortened: {because}")
+
+
+def dips_in_a_run(trajectory: Trajectory, report: Report) -> str:
+    """What to say of a plan whose only fault is that the tip is in the part where nothing is laid, as where a run-in passes
+    over a bead beside it; nothing of others."""
+    wrong = [check for check in report.checks if not check.ok]
+    if {check.name for check in wrong} != {TIP_CHECK} or trajectory.deposit[wrong[0].sample]:
+        return ""
+    return f"with their usual length the tip is {-wrong[0].worst:.2g} mm in the part ({wrong[0].where})"
 
 
 def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], note: str) -> PlanningContext:

@@ -32,6 +32,7 @@ from planner.toolpath.task import NozzleTask
 # Nothing here is guessed: a change is only named after the same nodes and the same search have been tried with it.
 
 TILTS = (5.0, 10.0, 20.0)  # deg from the surface normal
+_FINE = 0.1  # mm that clearance lacks: less is said by its first two digits
 NEARER = (1e-3, 0.5e-3, 0.2e-3, 0.0)  # m of clearance of nozzle and head, where more is asked for
 _AZIMUTHS = 12  # directions in which the nozzle is tilted
 _TURN_STEP, _MOST_TURN = 15.0, 180.0  # deg, of a held axis from where it is
@@ -511,7 +512,9 @@ def _collision(obstacles: Obstacles, which: int, margin: float, subject: str, st
     """standing: what stands with the part, where it is that which is too near, see `Obstacles.standing`."""
     one, other = obstacles.names(which)
     other = " or ".join(standing) if other == PART and standing else other
-    return f"collision of {one} with {other}: {subject} lacks {-margin * 1e3:.1f} mm of clearance"
+    lacks = -margin * 1e3
+    size = f"{lacks:.1f}" if lacks > _FINE else f"{lacks:.2g}"  # never 0.0
+    return f"collision of {one} with {other}: {subject} lacks {size} mm of clearance"
 
 
 def into_itself(down: float) -> str:

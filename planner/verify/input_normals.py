@@ -1,8 +1,8 @@
 """The nozzle's axis against the normals as a file of waypoints has them, however they were smoothed before planning.
 
 The file is read again here. At each waypoint that the tip passes, the axis may be off the file's normal by what smoothing
-may turn it and by what the nozzle may lean. Where a corner is rounded the tip passes beside a waypoint, with a mean of the
-normals around it: there it may be off by what these differ, too.
+may turn it and by what the nozzle may lean; of several at one place the first counts. Where a corner is rounded the tip
+passes beside a waypoint, with a mean of the normals around it: there it may be off by what these differ, too.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _TO_SI = {"mm": 1e-3, "m": 1.0}
 _OPPOSITE = 180.0  # deg
 _NEXT_BEAD = 3.0  # median steps: a longer one leads to another bead
 _AROUND = 3  # waypoints to either side that say which way a normal points
+_SAME, _CREEP = 0.02, 1e-7  # of the usual step, and m: waypoints that are no farther from the one before repeat it
 _NAME, _METRIC = "axis near the file's normals", "file_normal_max_deg"
 
 
@@ -48,7 +49,8 @@ def file_normals(judged: Judged) -> Findings:
     if bound == 0.0:
         return Findings()
     points, normals = _as_the_file_says(layers.source)
-    normals = _not_the_other_way(points, normals)
+    new = _elsewhere(points)
+    points, normals = points[new], _not_the_other_way(points[new], normals[new])
     off, away, at = _off_at_waypoints(judged, points, normals)
     passed = away <= process.corner_tolerance + _PASSED  # crumbs, and beads that are not printed, are elsewhere
     rounded = passed & (away > _PASSED) & (_turns(points) > _CORNER)
@@ -118,6 +120,18 @@ def _off_at_waypoints(judged: Judged, points: Array, normals: Array) -> tuple[Ar
                 np.where(nearer, new, old) for new, old in ((off, best), (np.minimum(distance, away), away), (i, at))
             )
     return best, away, at
+
+
+def _elsewhere(points: Array) -> Ints:
+    """Which points (n, 3) do not repeat the last one before them that repeats none."""
+    step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    moving = step[step > _CREEP]
+    same = max(_SAME * float(np.median(moving)), _CREEP) if len(moving) else _CREEP
+    new, before = np.append(True, step > same), 0
+    for i in np.flatnonzero(~new).tolist():  # a few that creep may add up to a step
+        before = i - 1 if new[i - 1] else before
+        new[i] = np.linalg.norm(points[i] - points[before]) > same
+    return np.flatnonzero(new)
 
 
 def _not_the_other_way(points: Array, normals: Array) -> Array:

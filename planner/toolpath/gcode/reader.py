@@ -498,6 +498,9 @@ class _Machine:
 
     def _line(self, words: dict[str, float]) -> None:
         x, y, z, pushed = self._goal(words)
+        if pushed > 0.0 and self.printing and "K" in words and (words.get("I") or words.get("J")):
+            axis = " ".join(f"{words.get(name, 0.0):g}" for name in "IJK")
+            raise self._wrong(f"material flows along a line with the tool's axis (I, J, K) at {axis}", _AS_WAYPOINTS)
         x0, y0, z0 = self.x, self.y, self.z
         self.x, self.y, self.z = x, y, z
         if pushed > 0.0 and (x != x0 or y != y0):

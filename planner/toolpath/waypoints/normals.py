@@ -18,7 +18,7 @@ NOISY = np.radians(0.02)  # of half the normals: noise from which on joints feel
 UNASKED = np.radians(3.0)  # how far noisy normals are turned at most where nothing is said of it,
 _TIMES_NOISE = 15.0  # and how many times what half of them are off: some are off by far more
 _FEWEST_STEPS, _MOST_STEPS = 0.7, 40.0  # usual steps of the path that normals are averaged over
-_LEAST_STEP = 0.1  # of a usual step: closer waypoints count as if they were so far apart
+_LEAST_STEP = 1.0 / 400.0  # of what is averaged over: closer waypoints count as if they were so far apart
 _ROUNDS = 40  # in which normals that were turned too far are held more firmly
 _FIRMER = 1.3  # least factor for those
 _NONE = 1e-12  # rad, and length of a mean of normals: none at all
@@ -99,7 +99,7 @@ def smooth_normals(normals: Array, s: Array, bound: float) -> tuple[Array, Array
         return normals, np.zeros(n)
     step = np.diff(s)
     usual = float(np.median(step))
-    step = np.maximum(step, _LEAST_STEP * usual) / np.clip(REACH, _FEWEST_STEPS * usual, _MOST_STEPS * usual)
+    step = np.maximum(step / np.clip(REACH, _FEWEST_STEPS * usual, _MOST_STEPS * usual), _LEAST_STEP)
     bands = _third_derivative_bands(step)
     hold = 0.5 * (np.append(step, step[-1]) + np.insert(step, 0, step[0]))
     smooth, turned = normals, np.zeros(n)

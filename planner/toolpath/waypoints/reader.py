@@ -24,9 +24,10 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.budgets import WAYPOINT_BYTES, WAYPOINTS
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
-from planner.base.geometry import arc_lengths
+from planner.base.geometry import angles_between, arc_lengths
 from planner.problem.layers import WaypointsSpec
 from planner.problem.waypoint_arrays import WaypointArrays
+from planner.toolpath.waypoints.nameless import meant_otherwise, odd_lengths
 
 NEEDED = ("x", "y", "z", "nx", "ny", "nz")
 OPTIONAL = ("layer", "bead", "width", "height")
@@ -36,6 +37,11 @@ COMMENTS = ("#", "//", "%", ";")
 _TITLES = 20  # lines at most, in which the one that names columns may stand
 _OBJ_WORDS = ("v", "vn", "vt", "o", "g", "mtllib")  # a file of vertices begins with
 _AXIS = {"i": "nx", "j": "ny", "k": "nz"}  # what programs for milling call the tool's axis
+# pos_x, Points:0; normal_x, Normals:0: as tables and meshes are exported
+_POINT = re.compile(r"(?:p|pos|position|point|points|tcp)[ _:.-]?([xyz012])")
+_DIRECTION = re.compile(r"(?:n|norm|normal|normals)[ _:.-]?([xyz012])")
+_NUMBERED = {"0": "x", "1": "y", "2": "z"}
+_ENDS_IN_AXIS = re.compile(r".*[_:.-][xyz012]|[xyz]", re.IGNORECASE)  # of a word that names a column
 _NAMING = 3  # of the needed names that a line of words must hold to be a header that names columns
 _UNREAD = ("cm", "um", "in", "inch", "inches", "ft")  # units that names of columns state, in which no file is read
 _UNIT = re.compile(rf"\s*[\[(]\s*(mm|m|{'|'.join(_UNREAD)})\s*[\])]")
@@ -47,8 +53,8 @@ FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
-_LOOKED = 1000  # lines by which it is told whether they hold quaternions,
-_UNIT_LENGTH = 2e-3  # whose length is 1, rounded
+_LOOKED = 1000  # lines by which it is told whether they hold something else than waypoints
+_CONTRADICTS = np.radians(5.0)  # what normals at one place differ by, at least, where that is said
 _NAMED_LINES = 5  # lines that a note names
 _AROUND = 3  # waypoints to either side that say which way a normal points,
 _FEWEST = 3  # so many at least, or else it may be these that are wrong,
@@ -67,12 +73,13 @@ class Columns:
     """Columns (n) of numbers by name, as they stand in the file; all of NEEDED, some of OPTIONAL; n is at least 1.
 
     lines (n): where in the file they stand, from 1: of an NPZ file, their places in the arrays.
-    unused: names of columns that mean nothing here.
+    unused: names of columns that mean nothing here; remark: what else is to be said of them.
     """
 
     values: dict[str, Array]
     lines: NDArray[np.int64]
     unused: tuple[str, ...]
+    remark: str = ""
 
 
 @dataclass(frozen=True)
@@ -149,12 +156,26 @@ def _known() -> str:
 
 
 def _names(words: Sequence[str]) -> list[tuple[str, str | None]]:
-    """The names of columns, and their units where they say one; x, y, z, i, j, k are points and normals, too."""
+    """The names of columns, and their units where they say one.
+
+    x, y, z, i, j, k are points and normals, too; so are pos_x and normal_x, where no column is called x or nx.
+    """
     found = [_name(word) for word in words]
     names = {name for name, _ in found}
-    if set(_AXIS) <= names and not names & set(_AXIS.values()):
-        return [(_AXIS.get(name, name), stated) for name, stated in found]
+    if not names & set(_AXIS.values()):
+        if set(_AXIS) <= names:
+            found = [(_AXIS.get(name, name), stated) for name, stated in found]
+        else:
+            found = [(_plainly(name, _DIRECTION, "n"), stated) for name, stated in found]
+    if not names & set(NEEDED[:3]):
+        found = [(_plainly(name, _POINT, ""), stated) for name, stated in found]
     return found
+
+
+def _plainly(name: str, pattern: re.Pattern[str], before: str) -> str:
+    """x, y or z, with what stands before it, for a longer name of the same; any other name as it is."""
+    match = pattern.fullmatch(name)
+    return name if match is None else before + _NUMBERED.get(match[1], match[1])
 
 
 def _name(word: str) -> tuple[str, str | None]:
@@ -186,25 +207,13 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
     except (ValueError, UserWarning):
         table = np.array([_row(path, layout, row, i) for row, i in zip(rows, numbers, strict=True)])
     values = {name: table[:, k] for k, name in enumerate(layout.places)}
-    if layout is _PLAIN and _are_quaternions([layout.split(row) for row in rows[:_LOOKED]]):
-        raise complain(
-            f"{path.name} has three numbers and a quaternion a line, as of tool poses",
-            hint="write the direction against the nozzle in its place: x y z nx ny nz",
-        )
-    return Columns(values, np.array(numbers, dtype=np.int64), layout.unused)
-
-
-def _are_quaternions(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether lines without names hold seven numbers, of which the last four are of length 1 and no three of these always."""
-    if any(len(row) != 7 for row in rows):
-        return False
-    found = [[number(word) for word in row[3:]] for row in rows]
-    if any(value is None for row in found for value in row):
-        return False
-    four = np.array(found, dtype=float)
-    unit = np.abs(np.linalg.norm(four, axis=1) - 1.0) < _UNIT_LENGTH
-    normal = np.abs(np.linalg.norm(four[:, :3], axis=1) - 1.0) < _UNIT_LENGTH
-    return bool(unit.all() and not normal.all())
+    remark = ""
+    if layout is _PLAIN:
+        reason, hint = meant_otherwise([[number(word) for word in layout.split(row)] for row in rows[:_LOOKED]])
+        if reason:
+            raise complain(f"{path.name} {reason}", hint=hint)
+        remark = odd_lengths(table[:, len(NEEDED) - 3 :])
+    return Columns(values, np.array(numbers, dtype=np.int64), layout.unused, remark)
 
 
 def _semicolons(lines: Sequence[str]) -> bool:
@@ -280,13 +289,21 @@ def _layout(path: Path, lines: list[str], unit: str) -> tuple[_Layout, list[int]
 
 def _header(lines: Sequence[str], content: Sequence[int]) -> int | None:
     """The number of the line that names columns, below titles, if there is one."""
+    above = None
     for i in content:
         numbers = _numbers_in(lines[i - 1])
         if not numbers and len({name for name, _ in _names(_words(lines[i - 1]))} & set(NEEDED)) >= _NAMING:
             return i
         if numbers >= len(NEEDED):
-            return None
+            return above if above is not None and _names_columns(lines[above - 1], numbers) else None
+        above = None if numbers else i
     return None
+
+
+def _names_columns(line: str, count: int) -> bool:
+    """Whether a line of words names so many columns, whatever it calls them: a title has no five commas."""
+    words = _words(line)
+    return len(words) == count and ("," in line or sum(map(bool, map(_ENDS_IN_AXIS.fullmatch, words))) >= _NAMING)
 
 
 def _numbers_in(line: str) -> int:
@@ -431,6 +448,7 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
 
     keep = np.concatenate([distinct(rows[part].points) for part in _parts(_changes(rows))])
     repeated = int((~keep).sum())
+    turned = _turned_in_place(rows.normals, keep)
     rows = rows[keep]
     if len(rows.points) < 2:
         raise complain(
@@ -448,7 +466,9 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
         for i, cut in parts.items()
     ]  # fmt: skip
     left_out = [f"{spec.name}: {crumbs}"] if crumbs else []
-    return WaypointFile(tuple(beads), (*_notes(spec.name, columns.unused, repeated), *left_out), lost)
+    remark = [f"{spec.name}: {columns.remark}"] if columns.remark else []
+    told = (*_notes(spec.name, columns.unused, repeated, turned), *remark, *left_out)
+    return WaypointFile(tuple(beads), told, lost)
 
 
 def columns_of(arrays: WaypointArrays) -> Columns:
@@ -458,10 +478,21 @@ def columns_of(arrays: WaypointArrays) -> Columns:
     return Columns(values, np.arange(len(arrays), dtype=np.int64), ())
 
 
-def _notes(name: str, unused: tuple[str, ...], repeated: int) -> Iterator[str]:
+def _turned_in_place(normals: Array, kept: NDArray[np.bool_]) -> float:
+    """By how much [rad] the normals (n, 3) of waypoints that repeat one before differ from that one's, at most."""
+    last = np.maximum.accumulate(np.where(kept, np.arange(len(kept)), 0))
+    return float(angles_between(normals[~kept], normals[last[~kept]]).max(initial=0.0))
+
+
+def _notes(name: str, unused: tuple[str, ...], repeated: int, turned: float) -> Iterator[str]:
     if repeated:
         what = "waypoint that repeats" if repeated == 1 else "waypoints that repeat"
-        yield f"{name}: {repeated} {what} the one before left out"
+        but = (
+            f"; their normals differ from its by up to {np.degrees(turned):.0f} degrees"
+            if turned > _CONTRADICTS
+            else ""
+        )
+        yield f"{name}: {repeated} {what} the one before left out{but}"
     if unused:
         yield f"{name}: columns that are not used: {', '.join(each[:40] for each in unused[:8])}"
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
@@ -65,6 +66,7 @@ _LAXER = 1.25  # corner tolerances: a file's points may be thinned out before it
 _BENT = 0.1  # of a layer's height above facets: a smooth surface's normal is not that of a facet
 _BEAD = 1e-9  # m, rounding of widths and heights
 _MAPPED = 1e-5  # m, of heights that follow a map between its places
+_WIDTHS_AGO = 3.0  # a bead lies on what it laid itself so many of its widths before, along it, at least
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
@@ -332,8 +334,34 @@ def _obstacles(judged: Judged, places: Places) -> Check:
     if part.any() and lowest.any():
         away, at = cKDTree(body.tree.points[part]).query(some.tip[lowest])
         spread = np.sqrt((body.tree.radius[part][at] + CLEARANCE) ** 2 - CLEARANCE**2)
-        off[lowest] = np.maximum(off[lowest], away - height[lowest] - spread)
+        bare = away - height[lowest] - spread
+        on_turns = _on_turns(judged, some, height, np.flatnonzero(lowest)[bare > _STRAY])
+        bare[np.flatnonzero(bare > _STRAY)[on_turns]] = 0.0
+        off[lowest] = np.maximum(off[lowest], bare)
     return worst_of(judged, some, "obstacles where the print is", np.maximum(off, 0.0) * 1e3, _STRAY * 1e3, "mm")
+
+
+def _on_turns(judged: Judged, places: Places, height: Array, which: Ints) -> NDArray[np.bool_]:
+    """Whether some places (n) of the lowest layer lie, half to one and a half of their bead's height above it, on what is kept
+    clear of there by then: an earlier bead of that layer, or the same one a few widths before, as in a spiral."""
+    beads, body, s = judged.toolpath.beads, judged.body, judged.trajectory.s
+    layer = min(bead.layer for bead in beads)
+    thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
+    number = np.array([_bead_of(name) for name in body.names])[thing]
+    own = np.flatnonzero(np.isin(number, [i for i, bead in enumerate(beads) if bead.layer == layer]))
+    balls, out = cKDTree(body.tree.points[own]), np.zeros(len(which), dtype=bool)
+    for k, i in enumerate(which):
+        bead, tip = int(places.bead[i]), places.tip[i]
+        width = float(beads[bead].width.max())
+        before = bead + (float(s[places.sample[i]]) - _WIDTHS_AGO * width) / beads[bead].length
+        near = own[balls.query_ball_point(tip, 2.0 * height[i] + width)]
+        near = near[(number[near] < bead) | ((number[near] == bead) & (body.tree.time[near] < before))]
+        way = tip - body.tree.points[near]
+        up = way @ places.up[i]
+        beside = np.linalg.norm(way - up[:, None] * places.up[i], axis=1) <= body.tree.radius[near] + _STRAY
+        gap = up - body.tree.radius[near]
+        out[k] = bool((beside & (gap > 0.5 * height[i] - _STRAY) & (gap < 1.5 * height[i] + _STRAY)).any())
+    return out
 
 
 def _bead_of(name: str) -> int:
