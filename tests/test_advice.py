@@ -13,7 +13,7 @@ from solved import small_plan, small_problem, write_small
 
 from benchmarks.advice import WITHIN, applied
 from planner.plan import Plan
-from planner.planning.advice import LEAST, below_speed, changes, recorded, worst_beads
+from planner.planning.advice import LEAST, SpeedTotals, below_speed, changes, promises, recorded, worst_beads
 from planner.planning.pipeline import solve
 from planner.report.places import SLOWEST_ADVISED, followable
 
@@ -52,6 +52,13 @@ def test_beads_with_most_slow_length_come_first_as_far_as_they_are_cheap() -> No
     paths = [replace(path, q=np.zeros((n, 7))) for n in sizes]
     assert worst_beads(paths, {0: 0.01, 1: 0.05, 2: 0.02, 3: 0.03}) == [2, 3]
     assert worst_beads(paths, {0: 0.0}) == []
+
+
+def test_what_does_nothing_for_some_slow_beads_is_not_tried_on_all() -> None:
+    whole, now = SpeedTotals(9.5, 10.0, 300.0), SpeedTotals(0.6, 1.0, 40.0)
+    few = SpeedTotals(0.15, 0.25, 10.0)
+    for at_speed, worth in ((0.15, False), (0.152, False), (0.153, True), (0.25, True), (0.1, False)):
+        assert promises(few, SpeedTotals(at_speed, 0.25, 10.0), now, whole) is worth, at_speed
 
 
 def test_lengths_below_speed_are_those_of_each_bead() -> None:

@@ -9,7 +9,7 @@ Clearance is that of the print as planned; travel, and what verification says, o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,9 @@ WIDEST_CORNER = 1e-3  # m, whatever the bead's width
 STEP = 4e-3  # s between the instants at which a timed bead is judged
 GAIN = 2e-3  # share of the length at speed, of the print, that is worth telling
 _ROUNDING = 1e-12  # m, rad
+_EVERY = 4  # of many beads one in so many goes first,
+_MANY = 16  # beads; and all are tried where these
+_PROMISING = 0.5  # of GAIN promise as much of it
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,13 @@ def advise(
     now = recorded(trajectory, commanded, worst)
     found = []
     for change in changes(given.problem):
-        tried = _tried(given, change, worst, paths)
+        trial = _trial(given, change, paths)
+        if len(worst) >= _MANY:
+            first = worst[::_EVERY]
+            tried, before = trial(first), recorded(trajectory, commanded, first)
+            if tried is None or not promises(before, tried, now, whole):
+                continue
+        tried = trial(worst)
         if tried is None:
             continue
         share = (whole.at_speed - now.at_speed + tried.at_speed) / (whole.length - now.length + tried.length)
@@ -110,6 +119,14 @@ def advise(
         price = (whole.time + advice.seconds) * (1.0 + SPEED_PRICE * (1.0 - share))
         found.append((price, advice))
     return tuple(advice for _, advice in sorted(found, key=lambda each: each[0]))
+
+
+def promises(before: SpeedTotals, tried: SpeedTotals, now: SpeedTotals, whole: SpeedTotals) -> bool:
+    """Whether a change is worth trying on all beads that are slow, for what it does to some of them.
+
+    before, tried: these few, as planned and with the change; now: all slow beads as planned; whole: the print.
+    """
+    return (tried.share - before.share) * now.length >= _PROMISING * GAIN * whole.length
 
 
 def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> SpeedTotals:
@@ -164,27 +181,37 @@ def _change(problem: Problem, kind: str, field: str, value: float, process: obje
     return Changed(kind, field, float(f"{value:.4g}"), problem.model_copy(update={"process": process}))
 
 
-def _tried(
-    given: PlanningContext, change: Changed, beads: Sequence[int], paths: Sequence[JointPath]
-) -> SpeedTotals | None:
-    """How some beads are laid with a change; None where they have no way, or are other beads with it. At another speed the
-    joints keep to their paths."""
+def _trial(
+    given: PlanningContext, change: Changed, paths: Sequence[JointPath]
+) -> Callable[[Sequence[int]], SpeedTotals | None]:
+    """What tells how some beads are laid with a change; None where they have no way, or are other beads with it. At another
+    speed the joints keep to their paths."""
     problem = change.problem
-    if change.kind == "speed":
+    toolpath = given.toolpath
+    if change.kind == "corner_tolerance":
+        try:
+            toolpath = build_toolpath(problem)
+        except InputError:
+            return lambda _: None
+        if len(toolpath.beads) != len(given.toolpath.beads):
+            return lambda _: None
+
+    def at_speed(beads: Sequence[int]) -> SpeedTotals:
         speed = problem.process.speed
         same = [replace(paths[i], task=replace(paths[i].task, speed=speed)) for i in beads]
         return _laid(replace(given, problem=problem), same)
-    try:
-        toolpath = build_toolpath(problem) if change.kind == "corner_tolerance" else given.toolpath
-        if len(toolpath.beads) != len(given.toolpath.beads):
-            return None
+
+    def planned(beads: Sequence[int]) -> SpeedTotals | None:
         few = replace(toolpath, beads=tuple(toolpath.beads[i] for i in beads))
-        some = [replace(task, bead=i) for i, task in zip(beads, tasks_of(problem, few), strict=True)]
-        start = ladder(given.cell, some, problem.resolve, given.obstacles)
-        found = refine_paths(given.cell, start, problem.resolve, given.obstacles, given.terms)
-    except (Refusal, InputError):
-        return None
-    return _laid(replace(given, problem=problem), found)
+        try:
+            some = [replace(task, bead=i) for i, task in zip(beads, tasks_of(problem, few), strict=True)]
+            start = ladder(given.cell, some, problem.resolve, given.obstacles)
+            found = refine_paths(given.cell, start, problem.resolve, given.obstacles, given.terms)
+        except (Refusal, InputError):
+            return None
+        return _laid(replace(given, problem=problem), found)
+
+    return at_speed if change.kind == "speed" else planned
 
 
 def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> SpeedTotals:
