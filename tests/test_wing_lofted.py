@@ -391,8 +391,7 @@ def test_wings_that_cannot_be_printed_are_refused(change: str, field: str, reaso
 
 @pytest.mark.slow
 def test_sides_that_never_meet_are_refused_at_once() -> None:
+    wing = "layers.source.span_mm=14", "layers.source.tip={chord_mm: 6, sweep_mm: 5, naca: '2412'}"
     with pytest.raises(InputError, match="lean so much") as caught:
-        build_toolpath(
-            problem("layers.source.span_mm=14", "layers.source.tip={chord_mm: 6, sweep_mm: 5, naca: '2412'}")
-        )
-    assert caught.value.field == "layers.source.tip"
+        build_toolpath(problem(*wing, "layers.source.tilt_deg=45"))  # less, and its passes are too far apart
+    assert caught.value.field == "--set layers.source.tip"
