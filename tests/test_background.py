@@ -156,6 +156,7 @@ def test_an_unverified_plan_has_no_robot_code_from_any_process(tmp_path: Path, m
 def test_baseline_and_maps_beside_are_those_made_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = small_plan()
     monkeypatch.setattr(planning, "WORTH_A_FORK", 0)
+    monkeypatch.setattr(planning, "WORTH_HALVES", 0)
     beside = planning.solve(plan.problem, second_process=True)
     assert beside.baseline == plan.baseline and set(beside.baseline) == {"as_published"}
     assert beside.metrics == plan.metrics and beside.checks == plan.checks

@@ -459,7 +459,7 @@ def test_the_command_says_that_it_holds(tmp_path: Path, capfd: pytest.CaptureFix
 def test_two_processes_say_the_same_as_one(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = small_problem()
     one = solve(problem, tolerance=AROUND)
-    monkeypatch.setattr("planner.planning.pipeline.WORTH_A_FORK", 0)
+    monkeypatch.setattr("planner.planning.pipeline.WORTH_HALVES", 0)
     two = solve(problem, tolerance=AROUND, second_process=True)
     assert one.headroom is not None
     assert one.headroom == two.headroom

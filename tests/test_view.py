@@ -597,7 +597,10 @@ def test_wrong_arguments(
 SHARING = """\
 import sys
 from planner.view import child, command, solver
-run_child = "import sys, planner.planning.pipeline as p, planner.view.child as c; p.WORTH_A_FORK = 1; sys.exit(c.main())"
+run_child = (
+    "import sys, planner.planning.pipeline as p, planner.view.child as c;"
+    "p.WORTH_A_FORK = p.WORTH_HALVES = 1; sys.exit(c.main())"
+)
 solver.CHILD = (sys.executable, "-c", run_child)
 sys.exit(command.main())
 """

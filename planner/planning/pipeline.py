@@ -83,7 +83,8 @@ RESULTS_BY = "solve"  # whose files they are, in manifests
 REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
 AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
 MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel between them, takes some 10 ms each
-WORTH_A_FORK = 5_000  # waypoints above which sharing the work takes less time than copying the process for it
+WORTH_A_FORK = 5_000  # waypoints from which work that stands alone (baseline, programs) is worth a copy of the process
+WORTH_HALVES = 40_000  # waypoints from which half of a stage is worth one: most stages use all cores by threads anyway
 
 
 def load(
@@ -178,7 +179,7 @@ def solve(
         compared = False
         stages.tell(f"more than {MOST_COMPARED:,} beads: not compared with {BASELINE}")
     with _baseline_beside(compared, given, dt, second_process) as baseline_metrics:
-        shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
+        shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
 
         def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
             if pieces:
@@ -267,7 +268,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
     given = context_of(problem, build_cell(problem), toolpath)
-    shared = second_process and _waypoints(toolpath) >= WORTH_A_FORK
+    shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
     if problem.process.split_beads:
         return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared, 0)[1].report
     return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
