@@ -19,6 +19,7 @@ from llvmlite import ir
 from numba import carray as np_carray  # type: ignore[attr-defined]
 from numba.core import errors, event, sigutils, types
 from numba.core.ccallback import CFunc
+from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 array_at: Any = np_carray  # in a kernel: the array of a shape at a pointer, in C's order
@@ -34,20 +35,58 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     used if nothing has changed that the kernel is made of: numba by itself looks at the kernel's own file alone, and goes
     on with old code of kernels and constants of other files.
     """
+    cached = options.pop("cache", False)
+    options |= {"no_cfunc_wrapper": True}  # nobody calls one from C
 
     def decorate(function: Callable[..., Any]) -> Any:
-        try:
-            kernel = numba.njit(**{"no_cfunc_wrapper": True, **options})(function)  # nobody calls one from C
-            if options.get("cache"):
-                _stamp(kernel._cache, function)
-            return kernel
-        except RuntimeError as error:
-            if "no locator available" not in str(error):
-                raise
-            _tell_once()
-            return numba.njit(**{"no_cfunc_wrapper": True, **options, "cache": False})(function)
+        kernel = numba.njit(**options)(function)
+        return _cached(kernel) if cached else kernel
 
     return decorate
+
+
+def inner_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """As `njit` with a cache, for kernels that other kernels call.
+
+    They lack the code by which Python calls a kernel, which would be compiled with them, and again with each kernel that
+    calls them. Called from Python all the same, they go through a kernel that is compiled for that.
+    """
+    options |= {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        return _cached(_InnerDispatcher(function, targetoptions=options))
+
+    return decorate
+
+
+class _InnerDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """A kernel without what Python calls it by."""
+
+    def __call__(self, *arguments: Any) -> Any:
+        return _callable(self)(*arguments)
+
+
+@cache
+def _callable(kernel: Any) -> Any:
+    """A kernel that calls another one."""
+
+    @numba.njit
+    def call(*arguments: Any) -> Any:
+        return kernel(*arguments)
+
+    return call
+
+
+def _cached(kernel: Any) -> Any:
+    """The kernel, which keeps on disk what it compiles, where it can."""
+    try:
+        kernel.enable_caching()
+        _stamp(kernel._cache, kernel.py_func)
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        _tell_once()
+    return kernel
 
 
 _stamps: dict[str, str] = {}  # of each module with kernels, by its name
@@ -145,11 +184,11 @@ def _tell_once() -> None:
 
 
 @contextmanager
-def while_compiling(begun: Callable[[int, float], Callable[[], None]]) -> Iterator[None]:
+def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Iterator[None]:
     """In the block, tell when kernels begin to be compiled that were not found in numba's cache.
 
-    begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is called after
-    each kernel. It is not told of a few.
+    begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is told after each
+    kernel how many of them are there, those of other processes too. It is not told of a few.
     """
     with event.install_listener("numba:compile", _Listener(begun)):
         yield
@@ -158,26 +197,34 @@ def while_compiling(begun: Callable[[int, float], Callable[[], None]]) -> Iterat
 class _Listener(event.Listener):
     """Calls `begun` at the first kernel of ours that is compiled, and what that returns after every one."""
 
-    def __init__(self, begun: Callable[[int, float], Callable[[], None]]) -> None:
+    def __init__(self, begun: Callable[[int, float], Callable[[int], None]]) -> None:
         self._begun = begun
-        self._done: Callable[[], None] | None = None
+        self._told: Callable[[int], None] | None = None
+        self._missing: list[str] = []
+        self._compiled = 0
 
     def on_start(self, event: Any) -> None:
-        if self._done is None and _is_ours(event.data["dispatcher"]):
-            missing = kernels_to_compile()
-            told = missing >= WORTH_TELLING
-            self._done = self._begun(missing, missing * SECONDS_A_KERNEL) if told else lambda: None
+        if self._told is None and _is_ours(event.data["dispatcher"]):
+            self._missing = _not_there()
+            count = len(self._missing)
+            self._told = self._begun(count, count * SECONDS_A_KERNEL) if count >= WORTH_TELLING else lambda _: None
 
     def on_end(self, event: Any) -> None:
-        if self._done is not None and _is_ours(event.data["dispatcher"]):
-            self._done()
+        if self._told is not None and _is_ours(event.data["dispatcher"]):
+            self._compiled += 1
+            self._told(max(self._compiled, sum(os.path.exists(index) for index in self._missing)))
 
 
-def kernels_to_compile() -> int:
-    """How many kernels of the modules that are loaded have nothing in numba's cache."""
+def was_compiled(kernel: Any) -> bool:
+    """Whether numba's cache has a kernel, for whatever types."""
+    return os.path.exists(_index(kernel))
+
+
+def _not_there() -> list[str]:
+    """Of each kernel of the modules that are loaded that has nothing in numba's cache, the file that would list it."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("planner.")]
     kernels = {id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}
-    return sum(not os.path.exists(_index(kernel)) for kernel in kernels.values())
+    return [_index(kernel) for kernel in kernels.values() if not was_compiled(kernel)]
 
 
 def _is_ours(value: Any) -> bool:

@@ -43,15 +43,15 @@ class Stages:
     def __exit__(self, *_: object) -> None:
         self._open.close()
 
-    def _compiling(self, kernels: int, seconds: float) -> Callable[[], None]:
-        """Say that kernels are compiled, and roughly how long that takes; returns what is called after each."""
+    def _compiling(self, kernels: int, seconds: float) -> Callable[[int], None]:
+        """Say that kernels are compiled, and roughly how long that takes; returns what is told after each how many are there."""
         if self._console is not None:
             self._console.print(f"compiling kernels, about {_minutes(seconds)}, once", markup=False)
         progress = self._progress
         if progress is None:
-            return lambda: None
+            return lambda _: None
         bar = progress.add_task("compiling", total=kernels)
-        return lambda: progress.advance(bar)
+        return lambda there: progress.update(bar, completed=there)
 
     def tell(self, words: str) -> None:
         """Say something to who waits, if anybody does."""

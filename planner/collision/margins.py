@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.solids import BOX, CAPSULE, HULL
 from planner.collision.gjk import solids_distance
 from planner.collision.point_tree import SolidNumbers, TipRule, TreeArrays, nearest_point, solid_distance
@@ -28,7 +28,7 @@ _DEEPEST = 128  # intervals that wait at once: twice the halvings of as many pos
 SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _frames(placements, axes, na, q, row, frames, lines) -> None:
     """Fill frames and lines for the posture in a row of q."""
     for j in range(len(axes)):
@@ -56,7 +56,7 @@ def _frames(placements, axes, na, q, row, frames, lines) -> None:
             frames[j + 1, i, 3] = b3
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _middles(frame, ball, frames, middle, known) -> None:
     for b in range(len(frame)):
         f = frame[b]
@@ -73,7 +73,7 @@ def put(table, room, q, row) -> None:
     _middles(table.frame, table.ball, room.frames, room.middle, room.known)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
     """The pose of a body's solid in the world, if it is not known."""
     if known[b]:
@@ -88,7 +88,7 @@ def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
             pose[b, i, j] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def outside(kind, size, pose, middle, b, other):
     """A bound of how far outside of body b the middle of another one lies [m]."""
     if kind[b] == HULL:
@@ -117,7 +117,7 @@ def part_by_middles(middle, a, b, way, k, S) -> None:
             S[0, 3 + m], S[0, 6 + m] = middle[a, m], middle[b, m]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def over_pairs(table, room, first, last, enough, stop):
     """The least margin of pairs first .. last, if below `enough` [m], and which has it, or -1: exact, or with `stop`
     the first one below, told no better than that."""
@@ -150,7 +150,7 @@ def over_pairs(table, room, first, last, enough, stop):
     return best, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _into_tree(frames, tree_frame, T_frame_tree, middle, tip, last, few, b, t) -> None:
     """Fill rows of `few` with a body's middle and the nozzle's tip in a tree's frame."""
     f = tree_frame[t]
@@ -170,7 +170,7 @@ def _into_tree(frames, tree_frame, T_frame_tree, middle, tip, last, few, b, t) -
             few[row, k] = T_frame_tree[t, 0, k] * u + T_frame_tree[t, 1, k] * v + T_frame_tree[t, 2, k] * w
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
     """Fill out (4, 4) with what takes points of a tree's frame into a body's solid."""
     f = tree_frame[t]
@@ -188,7 +188,7 @@ def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
             out[i, j] = pose[b, 0, i] * x + pose[b, 1, i] * y + pose[b, 2, i] * z
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     """The same of bodies looked at by trees, whose points are there before `now`; and the point, or -1.
 
@@ -235,7 +235,7 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     return best, which, point
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def first_lacking(table, room, q, row, now, more, head_on_part):
     """The first pair that lacks clearance at a row of q, or -1: pairs of bodies, then from p on those with trees.
 
@@ -255,7 +255,7 @@ def first_lacking(table, room, q, row, now, more, head_on_part):
     return p + which if which >= 0 else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def head_lacking(table, room, q, row, now):
     """Which pair of head and part lacks clearance at a row of q, as in `first_lacking`, or -1.
 
@@ -266,7 +266,7 @@ def head_lacking(table, room, q, row, now):
     return len(table.pair) + which if which >= 0 else -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def least_margin(table, room, q, row, now, enough, more):
     """The least margin at a row of q, if below `enough` [m], and which pair has it, as in `first_lacking`, or -1.
 
@@ -303,7 +303,7 @@ class ToSpare(NamedTuple):
     shifted: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def room_to_spare(table):
     """Nothing to spare yet."""
     b, t = len(table.frame), len(table.tree_frame)
@@ -311,7 +311,7 @@ def room_to_spare(table):
     return ToSpare(spare, np.zeros((1 + len(table.axes), 3, 4)), np.zeros(b), np.zeros(t))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _moved(frames, old, frame, x, y, z, reach):
     """How far a place of a ball around a point of a frame has moved at most [m]: its middle, and the turn's chord."""
     square, chord = 0.0, 0.0
@@ -326,7 +326,7 @@ def _moved(frames, old, frame, x, y, z, reach):
     return np.sqrt(square) + reach * np.sqrt(0.5 * chord)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def let_go(table, room, past) -> None:
     """Lower what margins have to spare by how far their two have moved since the posture before."""
     frame, ball, pair, look, first = table.frame, table.ball, table.pair, table.look, table.first
@@ -355,7 +355,7 @@ def let_go(table, room, past) -> None:
                 old[f, i, j] = frames[f, i, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def spared_pairs(table, room, past, begin, end, enough, stop):
     """The least margin of pairs begin .. end, exact if below `enough` [m], and which has it, or -1; with `stop` the
     first one below. What has enough to spare is passed over, and what the others have is kept."""
@@ -487,7 +487,7 @@ def hit_along(table, q, gone, now, allowed, enough):
 _STEP = 1e-6  # m, of the differences that give the direction of a solid's distance
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
     """Add to slope how fast a place of the world, three numbers, that moves with a frame goes along a normal, three
     numbers too, times a sign."""
@@ -502,7 +502,7 @@ def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
         slope[row, col, j] += sign * (n0 * (d1 * w - d2 * v) + n1 * (d2 * u - d0 * w) + n2 * (d0 * v - d1 * u))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _pair_slope(table, room, k, slope, row, col) -> None:
     """Fill slope[row, col] (nj) with the change of a pair's margin by the joints, after `over_pairs` found it."""
     slope[row, col] = 0.0
@@ -517,7 +517,7 @@ def _pair_slope(table, room, k, slope, row, col) -> None:
     _add_slope(room.lines, na, b, (x, y, z), (S[0, 6], S[0, 7], S[0, 8]), -1.0, slope, row, col)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def _look_slope(table, room, k, point, slope, row, col) -> None:
     """The same of a body and a point of a tree, after `over_looks` found it; the tip stays on the part."""
     slope[row, col] = 0.0
@@ -546,7 +546,7 @@ def _look_slope(table, room, k, point, slope, row, col) -> None:
     _add_slope(room.lines, na, table.frame[b], along, at, -1.0, slope, row, col)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _greatest(margin, row):
     worst = 0
     for k in range(margin.shape[1]):

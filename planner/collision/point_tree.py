@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.solids import BOX, CAPSULE, FRUSTUM
 
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
@@ -142,7 +142,7 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
     return count
 
 
-@njit(cache=True)
+@inner_njit()
 def _halve(points, axis, order, a, b, middle):
     """Sort order[a:b] so far that no point before `middle` lies beyond any from there on, along an axis (quickselect)."""
     low, high = a, b - 1
@@ -166,7 +166,7 @@ def _halve(points, axis, order, a, b, middle):
             break
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="never")
+@inner_njit(error_model="numpy", inline="never")
 def solid_distance(kind, size, planes, x, y, z):
     """Signed distance [m] of a point in a solid's own frame from it (see `Packed`); of a hull it is a lower bound."""
     if kind == BOX:
@@ -198,7 +198,7 @@ def solid_distance(kind, size, planes, x, y, z):
     return worst
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def point_value(p, radius, solid, T_solid_tree, tip, rule):
     """The value of one point p (3) that `nearest_point` looks for the least of."""
     T = T_solid_tree
@@ -212,7 +212,7 @@ def point_value(p, radius, solid, T_solid_tree, tip, rule):
     return d - radius - min(rule.clearance, rule.slope * away - rule.slack)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room):
     """Least value over the points that are there before time `now` of
 

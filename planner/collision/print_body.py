@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.bodies import nozzle_profile
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.robot import bodies_with_tip
@@ -105,7 +105,7 @@ def split(triangles, longest):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _copy(triangle, out):
     for k in range(3):
         for x in range(3):
@@ -158,13 +158,13 @@ def merged(triangles, size):
     return points, reach
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _apart(a, b):
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _farthest(t):
     """Distance that no place of a triangle (3, 3) exceeds from the nearest of its corners."""
     a, b, c = _apart(t[0], t[1]), _apart(t[1], t[2]), _apart(t[2], t[0])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints, read_only
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit
 from planner.collision.point_tree import SearchRoom, search_room
 
 
@@ -85,7 +85,7 @@ class Workspace(NamedTuple):
     last: Ints
 
 
-@njit(cache=True, nogil=True)
+@inner_njit()
 def workspace_for(table):
     """A thread's room."""
     nj, b = len(table.axes), len(table.frame)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Indices
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 if TYPE_CHECKING:
     from planner.export.moves import Moves
@@ -52,7 +52,7 @@ class SpeedRules(NamedTuple):
     fastest: float
 
 
-@njit(cache=True)
+@inner_njit()
 def _stepped(slowness: float, floor: float) -> float:
     """The nearest slowness [s/m] whose speed programs have; where it may not be below `floor`, the next above."""
     speed = 1.0 / slowness

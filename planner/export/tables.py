@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.plan.plan import columns_of
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def _fill(
     return len(free), at
 
 
-@njit(cache=True)
+@inner_njit()
 def _fixed(value: int, decimals: int, out: Bytes, at: int) -> int:
     """Write value / 10^decimals at a place in out; returns the place after it."""
     if value < 0:
@@ -106,7 +106,7 @@ def _fixed(value: int, decimals: int, out: Bytes, at: int) -> int:
     return end
 
 
-@njit(cache=True)
+@inner_njit()
 def _significant(x: float, out: Bytes, at: int) -> int:
     """Write x with 12 significant digits at a place in out; returns the place after it, or -1 if it is not sure how."""
     if x == 0.0:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 
 class JointState(NamedTuple):
@@ -91,7 +91,7 @@ def add(a: Cubics, b: Cubics) -> Cubics:
     return Cubics(*_add(a.times, a.coefficients, b.times, b.coefficients))
 
 
-@njit(cache=True)
+@inner_njit()
 def _merged(a: Array, b: Array) -> Array:
     """The breakpoints of both, each once: at least two."""
     both = np.zeros(len(a) + len(b))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import TURN
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
@@ -44,7 +44,7 @@ from planner.toolpath.task import NozzleTask
 NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 tells how near the wrist is to its singularity
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> float:
     """Mean share of the commanded speed that speeds and accelerations of the joints allow over some samples.
 
@@ -187,7 +187,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         q_out[r, a, b, c, j] = branch_q[c, j]
 
 
-@njit(cache=True)
+@inner_njit()
 def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.bool_]) -> bool:
     """Whether the joints, and the swept one by `turn`, can go from q0 to q1 (na) in a time [s] at speeds v (na + 1)."""
     if abs(turn) > v[wraps.size] * time:

@@ -14,6 +14,7 @@ import numpy as np
 
 from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
 from planner.base.arrays import Array
+from planner.base.compiled import was_compiled
 from planner.base.distribution import Spread
 from planner.base.errors import Blocked, InputError, Refusal, nearest_name
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
@@ -35,6 +36,7 @@ from planner.export.write import (
 from planner.motion.as_run import asked_of, corrections_of
 from planner.motion.dips import find_dips
 from planner.motion.interlayer import contacts_within, with_rests
+from planner.motion.timing.kernels import fastest
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
@@ -631,11 +633,13 @@ def _headroom(
 def _baseline_beside(
     wanted: bool, given: PlanningContext, dt: float, second_process: bool
 ) -> Iterator[Callable[[], dict[str, dict[str, float]]]]:
-    """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process."""
+    """What gives the baseline's metrics by strategy, planned beside the block where that is worth a process: for a large
+    print, and on a first run, since the baseline's process then compiles what comes after the search."""
     if not wanted:
         yield dict
         return
-    with beside(second_process and _waypoints(given.toolpath) >= WORTH_A_FORK, _baseline, given, dt) as wait:
+    worth_it = second_process and (_waypoints(given.toolpath) >= WORTH_A_FORK or not was_compiled(fastest))
+    with beside(worth_it, _baseline, given, dt) as wait:
         yield wait
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.resolve.cone_kernels import facet
 from planner.resolve.prices import (
     DIP,
@@ -42,7 +42,7 @@ def differentiate(values, centre, D, out) -> None:
                 out[i, o, j] = total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def allowed(order: int, slack: float):
     """Bound of a rate's share of its limit at a slack, linear from there on, and its slope: (1 + slack)^order."""
     if order == 0:
@@ -52,13 +52,13 @@ def allowed(order: int, slack: float):
     return (1.0 + slack) ** 3, 3.0 * (1.0 + slack) ** 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def lost(slack: float) -> float:
     """Price a second of a slack: the time lost, and that there is a dip at all."""
     return slack + DIP_PRICE * slack / (slack + DIP)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def lost_slope(slack: float) -> float:
     """Derivative of `lost`, which is concave: its tangent is never below it."""
     return 1.0 + DIP_PRICE * DIP / (slack + DIP) ** 2
@@ -367,7 +367,7 @@ def expand_singularity(weight, samples, sigma, sigma_slope, H, g) -> None:
             _add(H, g, first[i] * m, row, 2.0 * weight * step[i] * SIGMA_PRICE, close)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _row_of(i, factor, by_z, first, B, free, row) -> None:
     """Fill row (w) with factor times the slope by the control values of what has the slope by_z (m) at sample i."""
     m = by_z.size
@@ -522,7 +522,7 @@ def expand_tilt(price, samples, lean, lean_slope, H, g) -> None:
             _add(H, g, first[i] * m, row, 2.0 * step[i] * price, lean[i, k])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _add(H, g, at, row, weight, value) -> None:
     """Add weight / 2 (value + row x)^2 to the program."""
     for c in range(row.size):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4
@@ -380,7 +380,7 @@ def _begin(cells, price, steps, turns, near):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _move_prices(axis, begins, time, steps, size, turns, out) -> int:
     """Fill out (2 w + 1) with prices [s] of moves by -w .. w steps of an axis, and return w.
 
@@ -483,14 +483,14 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _least(to, values, more) -> None:
     """Replace `to` by values + more where that is less."""
     for m in range(to.size):
         to[m] = min(to[m], values[m] + more)
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _change_branch(row, branches) -> None:
     """Let travel change the branch."""
     for g in range(0, row.size, branches):
@@ -540,7 +540,7 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
     return at
 
 
-@njit(cache=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _short(d: int, n: int) -> int:
     """A way round a circle of n steps, the short way."""
     return (d + n // 2) % n - n // 2

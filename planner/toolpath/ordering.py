@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.problem.by_layer import fits
 from planner.toolpath.plane_paths import PlaneCurve
 
@@ -116,12 +116,12 @@ def _nearest_neighbour(ends: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_
     return order, flipped
 
 
-@njit(cache=True)
+@inner_njit()
 def _end(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], k: int, last: int) -> Array:
     return ends[order[k], last if not flipped[k] else 1 - last]
 
 
-@njit(cache=True)
+@inner_njit()
 def _gap(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], a: int, la: int, b: int, lb: int) -> float:
     """Distance between end la of the a-th in order and end lb of the b-th; 0 beyond either end of the tour."""
     if a < 0 or b >= len(order):

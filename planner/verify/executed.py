@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, read_only
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.singular_values import least_singular_value
 from planner.cell.cell import Cell
 from planner.cell.robot import joint_axis
@@ -123,7 +123,7 @@ def _judge(
         det[i] = _determinant(square)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _determinant(A: Array) -> float:
     """Determinant of a square matrix, which is lost: by elimination, the largest of each column first."""
     n, out = len(A), 1.0

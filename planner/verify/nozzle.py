@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import arc_lengths
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import (
@@ -158,7 +158,7 @@ def least_along(tree, solids, way, clearance, slope, search):
     return least, where, whose, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _here_and_there(tree, solids, way, clearance, slope, search):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
@@ -175,7 +175,7 @@ def _here_and_there(tree, solids, way, clearance, slope, search):
     return least, where, whose, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, room):
     """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
 
@@ -231,7 +231,7 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
     return least, where
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both, moved, target):
     """The least value of a point at instants between a sample and the next, so many that none below the target lies
     between.
@@ -300,7 +300,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
     return least, where, whose, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _next_look(way, k, spare, arm, slope):
     """The sample that is looked at after k: as far on as may do if the margin there is what it is at k.
 
@@ -319,7 +319,7 @@ def _next_look(way, k, spare, arm, slope):
     return m
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, search):
     """The margin of a body at sample k, FAR at most, and its point; the search begins with the known one, or with -1."""
     T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.now[way.ahead[k]]
@@ -331,7 +331,7 @@ def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, searc
     return value, known if point < 0 else point
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, search):
     """The least margin of a body between samples k and k + 1, if it is less than the target, and its point, or -1.
 
@@ -350,7 +350,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
     return least, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _pose(T_solid_nozzle, R, p, T):
     """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
     for i in range(3):
@@ -359,7 +359,7 @@ def _pose(T_solid_nozzle, R, p, T):
         T[i, 3] = T_solid_nozzle[i, 3] - T[i, 0] * p[0] - T[i, 1] * p[1] - T[i, 2] * p[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _between(Ra, Rb, pa, pb, share, R, p):
     """The pose at a share of the way between two that differ little."""
     for k in range(3):

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.bodies import nozzle_profile
 from planner.plan import Check
 from planner.verify.checks import DIGITS, EVERYWHERE, Findings, Judged, place
@@ -226,7 +226,7 @@ def _looks(tip, axis, often, reach):
     return out[:count].copy()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def outline_distance(profile, r, z):
     """Signed distance [m] of a point at radius r and height z above the tip from the nozzle's outline (k, 2), which goes on
     upwards for ever."""
@@ -317,7 +317,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
     return best, where, which, apart
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _still_shaped(when, j, shaped, tip):
     """Whether the tip has come at most `shaped` [m] from where it was at an instant to sample j."""
     gone = 0.0

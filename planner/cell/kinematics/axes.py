@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.kinematics.chain import Chain, mul4
 
 TURN = 2.0 * np.pi
@@ -117,7 +117,7 @@ def wrap(angle: float) -> float:
     return angle - TURN * np.ceil((angle - np.pi) / TURN)
 
 
-@njit(cache=True)
+@inner_njit()
 def between(T_left: Array, R: Array, t: Array, T_right: Array, room: Array, out: Array) -> None:
     """Fill out (4, 4) with T_left (R, t) T_right; room (2, 4, 4) is spoilt."""
     for i in range(3):

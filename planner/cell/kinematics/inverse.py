@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import address_of, array_at, call_at, njit
+from planner.base.compiled import address_of, array_at, call_at, inner_njit, njit
 from planner.cell.kinematics import offset_wrist, placed_wrist, seven_axes_kernel, skew_wrist_kernel, spherical_wrist
 from planner.cell.kinematics.axes import wrap
 from planner.cell.kinematics.chain import Chain, chain_state, refine
@@ -80,13 +80,13 @@ class Corrected:
         return self.nominal.out_of_reach(T_base_flange, redundant)
 
 
-@njit(cache=True)
+@inner_njit()
 def length(n: int) -> int:
     """Length of the parameters before the ideal arm's own, for n joints."""
     return 1 + 22 * n + 16
 
 
-@njit(cache=True)
+@inner_njit()
 def refine_branches(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Refine the postures q (B, n) that exist (ok), all for one pose; ok becomes False where that fails."""
     n = q.shape[1]
@@ -188,7 +188,7 @@ class OnRail:
         return rest if redundant is None else np.ascontiguousarray(np.reshape(redundant, rest.shape), dtype=np.float64)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> None:
     """Fill out (4, 4) with a flange pose, rotation R (3, 3) and origin t (3), as the arm's own base has it; p: parameters
     up to the arm's own, given (k, or more)."""
@@ -334,7 +334,7 @@ def solver_of(inverse: InverseKinematics) -> SolverAddresses:
     return SolverAddresses(own, address_of(_whole_entry, _WHOLE) if kind >= CORRECTED else 0)
 
 
-@njit(cache=True)
+@inner_njit()
 def solve_one(
     kind: int, solver: SolverAddresses, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
 ) -> None:
@@ -369,7 +369,7 @@ def _solve_whole(
             q[k, j + rails] = own[k, j]
 
 
-@njit(cache=True)
+@inner_njit()
 def _solve_standing(
     kind: int, own_solver: int, p: Array, redundant: float, T: Array, q: Array, ok: NDArray[np.bool_]
 ) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.kinematics.chain import Chain
 
 # ----------------------------------------------------------------------------------------------------
@@ -21,7 +21,7 @@ Ten = tuple[float, float, float, float, float, float, float, float, float, float
 _SINGULAR = 1e-12  # m, m^2 or sine: what must not vanish is no more than rounding
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def sines_of(q: Array) -> Ten:
     """Sine and cosine of joint 1, joint 2, theta_2 + theta_3, joint 4, and joint 5 of a posture q (6)."""
     theta23 = q[1] + q[2] + 0.5 * np.pi
@@ -31,7 +31,7 @@ def sines_of(q: Array) -> Ten:
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
     """Fill out (6, 6): the twist of a joint's rate, linear part first; arguments as in `inverse_jacobian`."""
     a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
@@ -56,7 +56,7 @@ def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
         out[3, j], out[4, j], out[5, j] = co1 * d_r - s1 * d_t, s1 * d_r + co1 * d_t, d_z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
     """Fill out (6, 6): rates of the joints for a twist, linear part first; it is in the arm's base frame.
 
@@ -208,7 +208,7 @@ def all_turns(q: Array, q_min: Array, q_max: Array) -> Array:
     return np.stack(np.meshgrid(*choices, indexing="ij"), axis=-1).reshape(-1, len(q))
 
 
-@njit(cache=True)
+@inner_njit()
 def _wrap(angle: float) -> float:
     """Angle in (-pi, pi]."""
     return angle - _TURN * np.ceil((angle - np.pi) / _TURN)
@@ -224,7 +224,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
                 q[i, j] = _wrap(q[i, j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def solve_within(
     p: Array, R: Array, t: Array, low: Array, high: Array, wanted: NDArray[np.bool_], q: Array, ok: NDArray[np.bool_]
 ) -> None:
@@ -291,7 +291,7 @@ def solve_within(
                     ok[j] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _may_stand(angle: float, low: float, high: float) -> bool:
     """Whether an angle, turned as near to the middle as whole turns bring it, lies within a range."""
     away = angle - 0.5 * (low + high)
@@ -308,7 +308,7 @@ def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ok
 
 
-@njit(cache=True)
+@inner_njit()
 def pose_one(p: Array, q: Array, T: Array) -> None:
     """Fill T (4, 4) with the flange pose of one posture q (6)."""
     a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
@@ -345,7 +345,7 @@ def _poses(p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@inner_njit()
 def branch_of(p: Array, q: Array) -> int:
     """Branch number of one posture q (6)."""
     a1, a2, c2, c3 = p[0], p[1], p[4], p[5]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 # ----------------------------------------------------------------------------------------------------
 # What kernels take together.
@@ -111,7 +111,7 @@ _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _POSITIVE = 0.9  # share of the way to rest that a step may go
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     """Lower lengths (m), in place, until they change slowly; sums (m + 1) and mins (m) are room."""
     m = len(lengths)
@@ -127,7 +127,7 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     average(mins, np.int64(APART // 2), sums, lengths)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def average(values: Array, half: int, sums: Array, out: Array) -> None:
     """Fill out (m) with the means of values (m) over `half` neighbours to both sides; sums (m + 1) is room."""
     m = len(values)
@@ -146,7 +146,7 @@ def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, floa
     return fall, 1.0 - fall - mu / (slack * dual)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def lengths_of(
     c: Array,
     step: Array,
@@ -202,7 +202,7 @@ def lengths_of(
         primal_lengths[i], dual_lengths[i] = _TO_BOUNDARY / primal_lengths[i], _TO_BOUNDARY / dual_lengths[i]
 
 
-@njit(cache=True)
+@inner_njit()
 def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None:
     """Go along the step of c, in place, as far as lengths (m) say; where x would not stay positive, they become the
     least of them, as which it does."""
@@ -219,7 +219,7 @@ def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None
         lengths[:] = lengths.min()
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def move(
     primal: Array, dual: Array, mu: Array, steps: Array, slacks: Array, duals: Array, places: int, gaps: Array
 ) -> None:  # fmt: skip
@@ -243,7 +243,7 @@ def move(
 # Blocks of intervals that are settled or not, and where the limits of places stand among all: compiled.
 
 
-@njit(cache=True)
+@inner_njit()
 def runs_of(unsettled: NDArray[np.bool_], m: int) -> list[tuple[int, int]]:
     """First interval, and the one after the last, of runs of neighbouring blocks that are unsettled."""
     out = []
@@ -272,14 +272,14 @@ def limits_of(
     )
 
 
-@njit(cache=True)
+@inner_njit()
 def split(flat: Array, m: int, nj: int) -> OfLimits:
     """One value for each side of each limit, all in a row (count), seen as those of x, acceleration and jerk."""
     first, last = m + 1, (m + 1) * (1 + 2 * nj)
     return OfLimits(flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2)))
 
 
-@njit(cache=True)
+@inner_njit()
 def overrun(room: Array, slack: Array) -> float:
     """Largest share of a limit by which there is less room than slack."""
     worst = -np.inf
@@ -405,7 +405,7 @@ def fastest(
     return c, False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _time(c: Array, middle: Array, h: Array) -> float:
     """The time that all intervals take."""
     time = 0.0
@@ -414,7 +414,7 @@ def _time(c: Array, middle: Array, h: Array) -> float:
     return time
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
     """Room below every limit, on either side, into `rooms`."""
     point, middle, end, a, j, ceiling, _ = limits
@@ -440,7 +440,7 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
     return w, mu * inverse - w * (room - slack)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner_njit(error_model="numpy")
 def _assemble(
     c: Array,
     limits: LimitRows,
@@ -532,7 +532,7 @@ def _assemble(
         band[i + 1, 1] += b01
 
 
-@njit(cache=True)
+@inner_njit()
 def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
     """Make the outermost two coefficients one variable, where x has to leave the grid with slope 0."""
     m = len(rhs) - 2
@@ -548,7 +548,7 @@ def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
         rhs[m + 1], band[m + 1, 0], band[m + 1, 1], band[m + 1, 2] = 0.0, 1.0, 0.0, 0.0
 
 
-@njit(cache=True)
+@inner_njit()
 def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
     """Leave the outermost two coefficients where they are, at the ends where the grid goes on: settled intervals see
     them too."""
@@ -562,7 +562,7 @@ def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
             rhs[i], band[i, 0], band[i, 1], band[i, 2] = 0.0, 1.0, 0.0, 0.0
 
 
-@njit(cache=True)
+@inner_njit()
 def _solve(band: Array, rhs: Array) -> bool:
     """Solve in place by Cholesky's method; False if the matrix is not positive definite.
 

@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline
 from scipy.ndimage import maximum_filter1d
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.processes import in_threads
 from planner.cell.cell import Limits
 from planner.motion.timing.kernels import APART, LimitRows, fastest, least_nearby, mean_nearby
@@ -181,7 +181,7 @@ class Leg:
         return _nominal(sigma, self.end, self.first, self.last, self.ramps, self.lasts)
 
 
-@njit(cache=True, nogil=True)
+@inner_njit()
 def _nominal(
     sigma: Array, length: float, first: float, last: float, ramps: tuple[float, float], lasts: tuple[float, float]
 ) -> Array:
@@ -631,7 +631,7 @@ def _profile(leg: Leg, program: LegLimits, c: Array) -> Profile:
     return Profile(leg, sigma, x, times)
 
 
-@njit(cache=True)
+@inner_njit()
 def _lasts(h: float, x: Array, f: float) -> float:
     """Time from an interval's start to its fraction f: the integral of h / sqrt(x)."""
     total = 0.0

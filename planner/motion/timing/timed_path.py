@@ -10,7 +10,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.optimize import brentq
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.cell.cell import Cell, Limits
 from planner.motion.cubics import JointState
 from planner.motion.timing.profile import Leg, PiecewiseCurve, Profile, curve_of, fastest_profile
@@ -190,7 +190,7 @@ def bound_time(cell: Cell, path: JointPath) -> float:
     return total
 
 
-@njit(cache=True)
+@inner_njit()
 def _accelerations(
     x: float, i: int, low: float, high: float, slopes: Array, bends: Array, a_max: Array, step: float
 ) -> tuple[float, float]:

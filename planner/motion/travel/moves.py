@@ -12,7 +12,7 @@ import numpy as np
 import ruckig
 
 from planner.base.arrays import Array
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.motion.cubics import Cubics, JointState
 
 _REACHED = (ruckig.Result.Working, ruckig.Result.Finished)
@@ -112,7 +112,7 @@ def time_beside(bounds: Array, caps: Array, taken: Array, duration: float, vias:
     return high
 
 
-@njit(cache=True)
+@inner_njit()
 def _needed(bounds: Array, caps: Array, taken: Array, rate: float, vias: Array) -> float:
     n = bounds.shape[1]
     left, way, phases = np.empty((3, n)), np.empty(n), np.empty(7)
@@ -132,7 +132,7 @@ def _needed(bounds: Array, caps: Array, taken: Array, rate: float, vias: Array) 
     return total
 
 
-@njit(cache=True)
+@inner_njit()
 def _sum(phases: Array) -> float:
     total = 0.0
     for k in range(len(phases)):
@@ -140,7 +140,7 @@ def _sum(phases: Array) -> float:
     return total
 
 
-@njit(cache=True)
+@inner_njit()
 def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: Array) -> float:
     """Fill out (7) with the durations of the phases from rest to rest over `way` (nj); the jerk of the share of it,
     0 for no way."""
@@ -219,7 +219,7 @@ def _constant_jerk(profile: ruckig.Profile) -> list[list[float]]:
     ]
 
 
-@njit(cache=True)
+@inner_njit()
 def _in_order(breaks: list[float]) -> Array:
     """Breakpoints in order, each once: at least two; by insertion, for there are a few dozen at most."""
     times = np.zeros(len(breaks))

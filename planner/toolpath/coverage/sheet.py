@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from planner.base.arrays import Array, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import arc_lengths
 
 _SEWN = 2e-5  # m: points of two faces' edges that are nearer than this are one
@@ -119,7 +119,7 @@ def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Arr
     return value
 
 
-@njit(cache=True)
+@inner_njit()
 def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
     """Distance at the third corner of a triangle for a straight front that passed the other two.
 

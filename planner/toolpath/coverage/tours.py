@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 # Samples nearer than this many spacings are neighbours. With a knight's move (2.24) among them, the shortest way over
 # neighbours is at most 3 % longer than the straight one.
@@ -137,7 +137,7 @@ def improve(order: Ints, distance: Array) -> Ints:
     return tour
 
 
-@njit(cache=True)
+@inner_njit()
 def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
     """Move tour[i : i + size] to where it costs least, either way round, if that shortens the tour."""
     n = len(tour)

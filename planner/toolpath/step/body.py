@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 from planner.toolpath.step.files import Face
 from planner.toolpath.step.splines import SplineArrays, SplineSet, fill_normal, foot_of
 
@@ -97,7 +97,7 @@ class RimArrays(NamedTuple):
     first: Ints
 
 
-@njit(cache=True)
+@inner_njit()
 def _crossings(u: float, v: float, uv: Array, following: Ints, first: int, last: int) -> bool:
     """Even-odd rule."""
     odd = False
@@ -119,7 +119,7 @@ def _within(places: Array, uv: Array, following: Ints, first: int, last: int) ->
     return out
 
 
-@njit(cache=True)
+@inner_njit()
 def is_inside(face: int, u: float, v: float, rims: RimArrays) -> bool:
     """Whether a place lies within the loops of a face; its raster answers, or the even-odd rule."""
     low, high, raster = rims.low, rims.high, rims.raster
@@ -149,7 +149,7 @@ _ASIDE = 1e-8  # m, by which a perpendicular may miss a point
 _TINY = 1e-300
 
 
-@njit(cache=True)
+@inner_njit()
 def _perpendicular(x: Array, d: Array) -> bool:
     """Whether a place with derivatives d (6, 3) is the foot of a perpendicular from x (3), and not where a search ended."""
     gu = gv = a = b = 0.0

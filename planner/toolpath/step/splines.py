@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 BEYOND = 0.02  # of the domain's width: so far a surface is followed beyond its rim
 _POLE = 1e-7  # m: a shorter side of a surface is a pole
@@ -147,7 +147,7 @@ class SplineSet(ReadOnlyArrays):
         return np.column_stack([mean - apart, mean + apart])
 
 
-@njit(cache=True)
+@inner_njit()
 def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
     """Index i of the knot below u, p <= i < n: the last and the first span go on beyond."""
     low, high = p, n
@@ -160,7 +160,7 @@ def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
     return low
 
 
-@njit(cache=True)
+@inner_njit()
 def _basis(u: float, span: int, knots: Array, first: int, p: int, out: Array) -> None:
     """B-splines of degree p that are not 0 in a span, with two derivatives: out (3, p + 1).
 
@@ -211,7 +211,7 @@ def _basis(u: float, span: int, knots: Array, first: int, p: int, out: Array) ->
             out[2, k] -= p * slope[k] / width
 
 
-@njit(cache=True)
+@inner_njit()
 def _evaluate(face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, out: Array) -> None:
     """Fill the value and derivatives by u, v, uu, uv, vv (6, 3) of a surface."""
     p, q, fu, fv, fp, nu, nv = (
@@ -261,7 +261,7 @@ def _derivatives(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints)
     return out
 
 
-@njit(cache=True)
+@inner_njit()
 def fill_normal(
     face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, domain: Array, out: Array
 ) -> None:
@@ -294,7 +294,7 @@ def _normals(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints, dom
     return out
 
 
-@njit(cache=True)
+@inner_njit()
 def foot_of(
     x: Array, face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, domain: Array, d: Array
 ) -> tuple[float, float]:
