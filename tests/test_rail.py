@@ -68,6 +68,22 @@ COLUMN = """\
 </robot>
 """
 COLUMN_YAML = "name: column\nurdf: column.urdf\ntip: place\nacceleration_rad_s2: [1, 2]\njerk_rad_s3: [10, 20]\n"
+SKEW_PLACES = ("0 0 0.245", "0 0 0", "0 0 0.54", "0 0 0", "0.54 0 0", "0 -0.15 0")  # of a Fanuc CRX-10iA
+SKEW_AXES = ("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")
+SKEW = (
+    '<robot name="skew"><link name="link_0"/>'
+    + "".join(
+        f'<link name="link_{k}"/><joint name="joint_{k}" type="revolute"><parent link="link_{k - 1}"/><child link="link_{k}"/>'
+        f'<origin xyz="{place}"/><axis xyz="{axis}"/><limit lower="-3" upper="3" velocity="2" effort="0"/></joint>'
+        for k, (place, axis) in enumerate(zip(SKEW_PLACES, SKEW_AXES, strict=True), 1)
+    )
+    + '<link name="flange"/><joint name="face" type="fixed"><parent link="link_6"/><child link="flange"/>'
+    '<origin xyz="0.16 0 0" rpy="0 1.5707963267948966 0"/></joint></robot>'
+)
+SKEW_YAML = (
+    "name: skew\nurdf: skew.urdf\ntip: flange\ninverse_kinematics: skew_wrist\ncontroller: {lag_ms: 19.7}\n"
+    "measured: by its log\nacceleration_rad_s2: [10, 10, 10, 10, 10, 10]\njerk_rad_s3: [500, 500, 500, 500, 500, 500]\n"
+)
 GANTRY = """\
     robot: gantry_xy
     free: [gantry_y, gantry_x]
@@ -85,6 +101,8 @@ def problem(folder: Path, *changes: tuple[str, str]) -> Problem:
         text = text.replace(old, new, 1)
     (folder / "column.urdf").write_text(COLUMN, encoding="utf-8")
     (folder / "column.yaml").write_text(COLUMN_YAML, encoding="utf-8")
+    (folder / "skew.urdf").write_text(SKEW, encoding="utf-8")
+    (folder / "skew.yaml").write_text(SKEW_YAML, encoding="utf-8")
     (folder / "own.yaml").write_text(text, encoding="utf-8")
     return load_problem(folder / "own.yaml")
 
@@ -106,6 +124,7 @@ def cells(folder: Path) -> dict[str, Cell]:
         "swing": problem(folder, on_column("[swing]", held_mm="{up: 700}", home_deg="{swing: -20}")),
         "both": problem(folder, on_column("[swing, up]", home_mm="{up: 500}", home_deg="{swing: -20}"), upside),
         "gantry": problem(folder, (BASE, GANTRY), upside),
+        "skew": problem(folder, ("arm: irb1600_12 ", "arm: skew.yaml "), upside),
         "seven": problem(folder, ("arm: irb1600_12 ", "arm: iiwa "), ("home_deg: [90,", "home_deg: [90, 0,"), upside),
     }
     return {name: build_cell(each) for name, each in found.items()}
@@ -121,7 +140,7 @@ def carried(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Cell]:
     return cells(tmp_path_factory.mktemp("cells"))
 
 
-KINDS = ("track", "tilted", "measured", "lift", "swing", "both", "gantry", "seven")
+KINDS = ("track", "tilted", "measured", "lift", "swing", "both", "gantry", "skew", "seven")
 GIVEN = {"both": (0, 1), "gantry": (0, 1), "seven": (0, 3)}  # joints that are chosen, if not the first alone
 
 
@@ -167,7 +186,7 @@ def test_inverse_of_a_pose_on_the_rail_has_that_pose(carried: dict[str, Cell], k
     there = exists[np.arange(len(q)), own]
     off = (found[np.arange(len(q)), own] - q)[there][:, solved]
     np.testing.assert_allclose(np.remainder(off + np.pi, 2.0 * np.pi) - np.pi, 0.0, atol=1e-6)
-    one, ok = np.empty((8, len(cell.arm))), np.empty(8, dtype=np.bool_)
+    one, ok = np.empty((inverse.branch_count, len(cell.arm))), np.empty(inverse.branch_count, dtype=np.bool_)
     for i in range(len(q)):
         solve_one(kind_of(inverse), solver_of(inverse), inverse.parameters, q[i, given], T[i], one, ok)
         assert (ok == exists[i]).all()
@@ -175,6 +194,11 @@ def test_inverse_of_a_pose_on_the_rail_has_that_pose(carried: dict[str, Cell], k
     assert (inverse.out_of_reach(T, q[:, given]) < 1e-9).all()
     rest, _ = inverse.solve(T)
     assert (rest[:, :, given] == cell.home[given]).all()
+
+
+def test_an_arm_on_a_rail_is_what_its_file_says(carried: dict[str, Cell]) -> None:
+    robot = carried["skew"].arm_robot
+    assert robot.controller == (("lag", 0.0197),) and robot.measured == "by its log"
 
 
 def test_home_and_limits_are_those_of_both(carried: dict[str, Cell]) -> None:

@@ -16,6 +16,7 @@ from planner.cell.kinematics.inverse import Corrected, OnRail
 from planner.cell.kinematics.offset_wrist import OffsetWrist
 from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.cell.kinematics.seven_axes import SevenAxes
+from planner.cell.kinematics.skew_wrist import SkewWrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body, Look
@@ -145,23 +146,21 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
     whole = pin.appendModel(model, upper, tip, pin.SE3.Identity())
     moving = [robot.joint_names.index(name) for name in free]
     chain = chain_of(robot, np.eye(4), np.eye(4), free, held)
-    return Robot(
-        key=arm.key,
+    return replace(
+        arm,
         name=_name(robot, arm),
         model=whole,
-        tip=arm.tip,
         acceleration=np.append(robot.acceleration[moving], arm.acceleration),
         jerk=np.append(robot.jerk[moving], arm.jerk),
         inverse=_on_rail(arm, chain),
         assumed=_both(robot, arm),
-        language=arm.language,
         bodies=_stacked(_carried(robot, robot.bodies, held, free), arm.bodies, chain.T_last_tip),
         looks=_stacked(_carried(robot, robot.looks, held, free), arm.looks, chain.T_last_tip),
     )
 
 
 def _on_rail(arm: Robot, chain: Chain) -> OnRail:
-    if not isinstance(arm.inverse, SphericalWrist | PlacedWrist | OffsetWrist | SevenAxes | Corrected):
+    if not isinstance(arm.inverse, SphericalWrist | PlacedWrist | OffsetWrist | SkewWrist | SevenAxes | Corrected):
         raise TypeError(f"{arm.key} is no arm that stands")
     rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))
