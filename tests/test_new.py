@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from planner.base.shipped import PROBLEMS, ROBOTS
+from planner.cell.cell import build_cell
 from planner.cell.robot import read_robot, robot_names, shipped_robots
 from planner.new.command import main
 from planner.new.posture import reached
@@ -17,6 +18,7 @@ from planner.new.questions import DOWN, WHAT
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
+from planner.problem.fields import LONGEST_NAME, identifier_like
 
 SQUARE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 20"><path d="M0 0h20v20H0z"/></svg>'
 DEFAULTS = 20  # empty answers: more than there are questions
@@ -97,6 +99,9 @@ def test_what_can_be_chosen() -> None:
         (["", "irb104"], "did you mean irb140?"),
         (["", "", "0 0"], "must be a list of 3 numbers"),
         (["", "", "", "0"], "too small"),
+        (["my-print"], "cannot be a name"),
+        (["null"], "must be a name"),
+        ([*[""] * 6, "", "", "2000 2000"], "there is no place"),
         (["", "", "", "", "table"], "choices: bed, irbp_a250"),
         (["", "", "", "", "", "patern"], "did you mean pattern?"),
         (["", "", "", "", "", "drawing", "nowhere.svg"], "there is no file"),
@@ -158,6 +163,32 @@ def test_copies_of_what_ships(name: str, tmp_path: Path, capsys: pytest.CaptureF
     before = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
     assert main([str(file), "--from", name]) == 2  # it is there already
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize(("stem", "name"), [("test", "print_test"), ("null", "print_null"), ("7 of 9", "print_7_of_9")])
+def test_words_that_name_nothing_are_no_names(stem: str, name: str, tmp_path: Path) -> None:
+    assert main([str(tmp_path / f"{stem}.yaml"), "--from", "peer_cap"]) == 0
+    assert load_problem(tmp_path / f"{stem}.yaml").name == name
+    assert identifier_like(stem, "_print") == (
+        f"{name.removeprefix('print_')}_print" if stem[0] != "7" else f"{name}_print"
+    )
+    assert len(identifier_like("a" * 80, "_print")) <= LONGEST_NAME
+
+
+def test_a_copy_names_a_rail_where_it_is(tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    for file in (ROBOTS / "track_3m.yaml", ROBOTS / "track_3m.urdf"):
+        (own / file.name).write_text(file.read_text(encoding="utf-8"), encoding="utf-8")
+    text = (PROBLEMS / "rail_panel.yaml").read_text(encoding="utf-8")
+    assert "robot: track_3m " in text
+    text = text.replace("robot: track_3m ", "robot: track_3m.yaml ")
+    (own / "mine.yaml").write_text(text.replace("rail_panel.txt", str(PROBLEMS / "rail_panel.txt")), encoding="utf-8")
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    assert main([str(copy / "other.yaml"), "--from", str(own / "mine.yaml")]) == 0
+    assert build_cell(load_problem(copy / "other.yaml")).rails == 1
+    assert not (copy / "track_3m.yaml").exists()
 
 
 def test_a_copy_does_not_write_over_another_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

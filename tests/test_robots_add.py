@@ -533,8 +533,38 @@ def test_an_interrupted_trial_leaves_the_file_and_says_so(
 
     monkeypatch.setattr("planner.robots.command.trial", interrupted)
     assert main(["add", str(written(tmp_path, urdf_of(KR10))), "--out", str(tmp_path / "arm.yaml")]) == 130
-    assert "interrupted: a robot's file that was named above is there, its print is not" in capsys.readouterr().err
+    assert "interrupted: the robot's file is complete if its name was printed" in capsys.readouterr().err
     assert (tmp_path / "arm.yaml").exists()
+
+
+def test_an_interruption_leaves_no_half_of_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.robots.adding.touching", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        added(written(tmp_path, urdf_of(KR10)), tmp_path / "arm.yaml")
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.urdf"]
+
+
+def test_a_urdf_may_end_in_xml(tmp_path: Path) -> None:
+    path = written(tmp_path, urdf_of(KR10)).rename(tmp_path / "arm.xml")
+    assert add_robot(path, tmp_path / "arm.yaml") == add_robot(path, tmp_path / "arm.yaml") == tmp_path / "arm.yaml"
+
+
+@pytest.mark.slow
+def test_a_trial_that_ends_leaves_no_waypoints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, made = added(written(tmp_path, urdf_of(KR10)), tmp_path / "gp-25.yaml")
+    seen = []
+
+    def interrupted(robot: object, file: object, name: str, *_: object) -> None:
+        seen.append(name)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.robots.trial._tried", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        trial(made.robot, file, made.found.outwards)
+    assert seen == ["gp_25_print"] and not list(tmp_path.glob("*.txt"))
 
 
 @pytest.mark.slow

@@ -19,7 +19,7 @@ from planner.new.questions import Answers, Asker, answers_to, name_of
 from planner.planning.check_command import examine
 from planner.problem import Problem, load_problem
 from planner.problem.describe import MODELINE
-from planner.problem.fields import LONGEST_NAME
+from planner.problem.fields import identifier_like
 from planner.problem.problem import parse_problem
 from planner.problem.rewrite import changed_text, paths_in
 
@@ -27,7 +27,8 @@ from planner.problem.rewrite import changed_text, paths_in
 # A problem that exists, as the start of one's own: its file and all files that it names, side by side.
 
 _MODELINE = re.compile(rf"{re.escape(MODELINE)}[^\n]*\n")
-ROBOTS = {("cell", "arm"), ("cell", "positioner", "robot")}  # files that name others again: they stay where they are
+# files that name others again: they stay where they are
+ROBOTS = {("cell", "arm"), ("cell", "base", "robot"), ("cell", "positioner", "robot")}
 
 
 def copied(problem: Problem, file: Path) -> dict[Path, bytes]:
@@ -53,15 +54,9 @@ def copied(problem: Problem, file: Path) -> dict[Path, bytes]:
         if target in contents or (target.exists() and target.read_bytes() != content):
             raise OutputError(f"{target} is there already, and is another file than {path}: choose another folder")
         contents[target] = content
-    text = changed_text(problem, {**changes, "name": name_from(file)}, folder)
+    text = changed_text(problem, {**changes, "name": identifier_like(file.stem)}, folder)
     text = modeline(folder) + _MODELINE.sub("", text, count=1)
     return {**contents, file: text.encode()}
-
-
-def name_from(file: Path) -> str:
-    """A problem's name from that of its file: letters, digits and _, a letter first."""
-    name = re.sub(r"[^A-Za-z0-9_]+", "_", file.stem).strip("_")[:LONGEST_NAME]
-    return name if name[:1].isalpha() else f"print_{name}"[:LONGEST_NAME].rstrip("_")
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -111,7 +106,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
     if file.exists() and (ask.take_defaults or not _over(ask, file)):
         raise OutputError(f"{file} is there already, and stays as it is: give another name")
     if options.start is None:
-        contents = {file: _checked(answers_to(ask, file, name_from(file)), file).encode()}
+        contents = {file: _checked(answers_to(ask, file, identifier_like(file.stem)), file).encode()}
     else:
         contents = copied(load_problem(options.start), file)
     _write(contents)

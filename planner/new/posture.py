@@ -74,9 +74,10 @@ def _unlike(q: Array, worth: Array) -> Array:
     return np.array(kept).reshape(len(kept), q.shape[1])
 
 
-def usual_place(robot: Robot, tip: Array, points: Array, axis: Array, reach: float) -> Array:
-    """The round place (3) [m] in front of an arm from which points (k, 3) of a part's frame are reached best."""
-    best, place = -1.0, np.zeros(3)
+def usual_place(robot: Robot, tip: Array, points: Array, axis: Array, reach: float) -> Array | None:
+    """The round place (3) [m] in front of an arm from which points (k, 3) of a part's frame are reached best; None where there
+    is no place from which all are."""
+    best, place = 0.0, None
     for high in HIGH:
         for far in FAR:
             at = np.round(np.array([far, 0.0, high]) * reach / ROUND) * ROUND

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic_core import PydanticCustomError
 from rich.console import Console
 from rich.markup import escape
 from rich.prompt import InvalidResponse, PromptBase
@@ -23,7 +24,7 @@ from planner.new.posture import reached, usual_place
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, NozzleSpec, PositionerSpec
 from planner.problem.drawings import LayersSpec, PatternSpec, SvgSpec
-from planner.problem.fields import Model, described, read_value
+from planner.problem.fields import Model, described, identifier, in_words, read_value
 from planner.problem.layers import AerofoilSpec
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import CylinderSpec, SphereSpec
@@ -200,7 +201,10 @@ def answers_to(ask: Asker, file: Path, name: str) -> Answers:
 
 
 def _identifier(text: str) -> str:
-    return str(field_of(Problem, "name")(text))
+    try:
+        return identifier(field_of(Problem, "name")(text))
+    except PydanticCustomError as error:
+        raise ValueError(in_words(error)) from None
 
 
 def _pattern(value: Callable[..., Any], folder: Path) -> None:
@@ -267,6 +271,10 @@ def _place(value: Callable[..., Any], robot: Robot, holder: str, given: Values) 
     points, axis = corners(given)
     stand = np.array([0.0, 0.0, 0.0 if holder == "bed" else STAND_MM * 1e-3])
     usual = usual_place(robot, tip, points + stand, axis, reach(robot) or 0.0)
+    if usual is None:
+        raise InputError(
+            f"there is no place from which {robot.key} reaches all of the part", hint="make the part smaller"
+        )
     spec, name = (CellSpec, "bed") if holder == "bed" else (PositionerSpec, "origin")
 
     def check(text: str) -> Any:

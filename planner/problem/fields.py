@@ -175,7 +175,8 @@ def _text(value: Any) -> str:
     return value
 
 
-def _identifier(value: Any) -> str:
+def identifier(value: Any) -> str:
+    """A name that controllers take, too. Raises PydanticCustomError for any other value."""
     text = _text(value)
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", text) or len(text) > LONGEST_NAME:
         reason = f"{shorten(text)!r} cannot be a name in RAPID"
@@ -183,6 +184,14 @@ def _identifier(value: Any) -> str:
     if text.lower() in RAPID_WORDS:
         raise refusal(f"{text!r} is a word of RAPID itself", f"for example my_{text}"[:LONGEST_NAME])
     return text
+
+
+def identifier_like(text: str, ending: str = "") -> str:
+    """An identifier that is as near to a text as may be, and ends so."""
+    name = re.sub(r"[^A-Za-z0-9_]+", "_", text).strip("_")
+    taken = RAPID_WORDS | {"null"}  # which YAML takes for nothing
+    usable = name[:1].isalpha() and (name + ending).lower() not in taken
+    return (name if usable else f"print_{name}")[: LONGEST_NAME - len(ending)].rstrip("_") + ending
 
 
 def _beside_the_problem(value: Any, info: ValidationInfo) -> Path:
@@ -251,19 +260,19 @@ def _unique(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _increasing(pair: tuple[float, float]) -> tuple[float, float]:
     if not pair[0] < pair[1]:
-        raise refusal("the first angle must be less than the second", "for example [-180, 180]")
+        raise refusal("the first number must be less than the second", "for example [-180, 180]")
     return pair
 
 
 def _unit_vector(vector: tuple[float, ...]) -> tuple[float, ...]:
     length = math.hypot(*vector)
     if length < 1e-6:
-        raise refusal("must not be the zero vector", "for example [0, 0, 1], the flange's z")
+        raise refusal("must not be the zero vector", "three numbers, not all of them 0")
     return tuple(value / length for value in vector)
 
 
 TEXT = Form(_text, schema={"minLength": 1, "maxLength": LONGEST_TEXT})
-IDENTIFIER = Form(_identifier, schema={"pattern": f"^[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_NAME - 1}}}$"})
+IDENTIFIER = Form(identifier, schema={"pattern": f"^[A-Za-z][A-Za-z0-9_]{{0,{LONGEST_NAME - 1}}}$"})
 PATH = BeforeValidator(_beside_the_problem)
 PATH_OR_ARRAYS = BeforeValidator(_file_or_arrays)
 ROBOT = BeforeValidator(_robot)
@@ -377,6 +386,12 @@ def _only_in_memory(annotation: Any) -> bool:
     return isinstance(annotation, type) and issubclass(annotation, InMemory)
 
 
+def in_words(error: PydanticCustomError) -> str:
+    """A refusal with its hint."""
+    hint = (error.context or {}).get("hint")
+    return f"{error}" + (f" ({hint})" if hint else "")
+
+
 def read_value(one: Described, text: str) -> Any:
     """A value of a field from a text as it would stand in the file; of a list of numbers the brackets may be missing.
 
@@ -392,8 +407,7 @@ def read_value(one: Described, text: str) -> Any:
     except InputError as error:
         raise ValueError(str(error)) from None
     except PydanticCustomError as error:
-        hint = (error.context or {}).get("hint")
-        raise ValueError(f"{error}" + (f" ({hint})" if hint else "")) from None
+        raise ValueError(in_words(error)) from None
     if one.quantity is None and one.choices and value not in one.choices:
         raise ValueError(f"choices: {', '.join(one.choices)}")
     return list(value) if isinstance(value, tuple) else value

@@ -123,6 +123,7 @@ def added(
             raise OutputError(
                 f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
             )
+    made, whole = text is not None and not source.exists(), None
     try:
         if text is not None:
             source.write_text(text, encoding="utf-8")
@@ -146,12 +147,15 @@ def added(
             found = replace(found, notes=(*found.notes, note))
         touch = touching(read, robot)
         file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
-        return file, Added(found, touch, read_robot(file))
-    except (OSError, InputError) as error:
-        file.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
-        raise
+        whole = Added(found, touch, read_robot(file))
+    except OSError as error:
+        raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
+    finally:
+        if whole is None:  # interrupted, too: what is half done would count as the robot's file next time
+            file.unlink(missing_ok=True)
+            if made:
+                source.unlink(missing_ok=True)
+    return file, whole
 
 
 def _missed(robot: Robot) -> float:
@@ -177,7 +181,7 @@ def _check_arguments(path: Path, arguments: Mapping[str, str]) -> None:
 def _urdf_of(path: Path, arguments: Mapping[str, str]) -> Path:
     """The URDF that a xacro file makes: beside it, so that its meshes are found, and one for each choice of arguments."""
     if path.suffix != ".xacro":
-        return path.with_suffix(".urdf")
+        return path
     chosen = [key_of(value) for value in dict.fromkeys(arguments.values())]
     return path.with_name("_".join([path.stem.removesuffix(".urdf"), *chosen]) + ".urdf")
 

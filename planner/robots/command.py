@@ -72,7 +72,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     errors = Console(stderr=True, highlight=False)
     say = partial(errors.print, markup=False, soft_wrap=True)
     return exit_code(
-        lambda: _add(options, errors), say, "a robot's file that was named above is there, its print is not"
+        lambda: _add(options, errors),
+        say,
+        "the robot's file is complete if its name was printed, its trial print is not",
     )
 
 

@@ -17,6 +17,7 @@ from planner.new.posture import FAR, HIGH, ROUND, reached
 from planner.plan import Plan
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
+from planner.problem.fields import identifier_like
 from planner.problem.problem import parse_problem
 from planner.robots.face import DEEP, depth
 from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
@@ -51,10 +52,20 @@ def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> 
     flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
     far = reach(robot) or 0.0
     cap = cap or cap_for(far)
-    key = file.stem
-    name = f"{key}_print" if key[:1].isalpha() else f"print_{key}"
+    name = identifier_like(file.stem, "_print")
     waypoints = file.parent / f"{name}.txt"
     waypoints.write_text(cap.waypoints, encoding="utf-8")
+    made = None
+    try:
+        made = _first_verified(robot, file, name, outwards, cap, far)
+    finally:
+        if made is None or made.plan is None:
+            waypoints.unlink()
+    return made
+
+
+def _first_verified(robot: Robot, file: Path, name: str, outwards: Array, cap: Cap, far: float) -> Trial:
+    """As `trial`, once the waypoints are there; far: the arm's reach [m]."""
     reason = f"no place was found where it reaches all of a cap of {cap.radius * 1e3:g} mm"
     deep = depth(robot, outwards)
     deep, ends = deep if deep > DEEP else 0.0, time.monotonic() + LONGEST
@@ -69,7 +80,6 @@ def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> 
             reason, planned = tried.reason, planned + tried.planned
             if planned == PLANS:
                 break
-    waypoints.unlink()
     return Trial(name, "", None, reason)
 
 
