@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from planner.problem import find_problem, load_problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.plane_paths import length
+from planner.toolpath.substrate.mesh_surface import LastTrees
 from planner.toolpath.volume.layers import walls, zigzag
 from planner.toolpath.volume.sections import NotClosed, Solid
 
@@ -197,6 +199,9 @@ def test_the_surface_grows_with_the_layers() -> None:
     height = top[0, 2] / LAYERS
     assert done.signed_distance(top)[0] == pytest.approx(height, rel=0.03)  # the layer of the last bead does not count
     assert done.signed_distance(top - [[0.0, 0.0, 2.0 * height]])[0] < 0.0
+    assert surface.before(1).signed_distance(top)[0] > 0.0  # asked in any order it is what it is when asked at once
+    alone = replace(surface, grown=LastTrees(), tops=[]).before(last)
+    np.testing.assert_array_equal(done.signed_distance(top), alone.signed_distance(top))
     beside = np.array([[0.0, 0.0, 1e-3]])  # within the hole
     assert 0.5e-3 < done.signed_distance(beside)[0] <= 1e-3
     tips = ring().beads[-1].points

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -59,15 +59,18 @@ class DeviationField(ReadOnlyArrays):
 
     def at(self, places: Array, normals: Array) -> Array:
         """Smoothed deviation (k) [m] beneath places (k, 3) of any layer whose unit normals are (k, 3)."""
-        tree = cKDTree(self.points)
         out = np.empty(len(places))
         for first in range(0, len(places), _TOGETHER):
             rows = slice(first, first + _TOGETHER)
-            out[rows] = self._some(tree, places[rows], normals[rows])
+            out[rows] = self._some(places[rows], normals[rows])
         return out
 
-    def _some(self, tree: cKDTree, places: Array, normals: Array) -> Array:
-        foot = places
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.points)
+
+    def _some(self, places: Array, normals: Array) -> Array:
+        foot, tree = places, self._tree
         for _ in range(_STEPS):
             _, near = tree.query(foot)
             rise = ((places - self.points[near]) * normals).sum(axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -58,9 +59,11 @@ class LevelLayers:
     @classmethod
     def of(cls, beads: Sequence[Bead]) -> LevelLayers:
         """The layers that beads make; each bead is as high as its layer."""
+        by_level: dict[int, list[Bead]] = defaultdict(list)
+        for bead in beads:
+            by_level[bead.layer].append(bead)
         layers = []
-        for level in range(max(bead.layer for bead in beads) + 1):
-            own = [bead for bead in beads if bead.layer == level]
+        for _, own in sorted(by_level.items()):
             centres = np.vstack([bead.points[:, :2] for bead in own])
             radii = np.concatenate([0.5 * bead.width for bead in own])
             layers.append(Layer(max(float(bead.points[-1, 2]) for bead in own), cKDTree(centres), radii))

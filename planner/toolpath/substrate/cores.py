@@ -18,18 +18,20 @@ from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.ordering import in_order
 from planner.toolpath.plane_paths import PlaneCurve, densify, length, make_bead, round_corners
 from planner.toolpath.substrate.clipping import share_words, trim_curve, trim_path
-from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField
+from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, LastTrees
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, reach_beside
 from planner.toolpath.substrate.projection import (
     REACH,
     RESERVE,
     paths_of,
     placed,
+    size_key,
     smooth_top,
     top_facets,
 )
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
+from planner.toolpath.workload import check_curves
 
 _PITCH = 1e-3  # m between corners of the facets that stand for layers: 0.08 mm off them where 1.5 mm is their radius
 _MOST_PITCHES = 300  # along the longer side
@@ -102,7 +104,7 @@ class CoreSurface:
     levels         of the layers that are laid, in print order
     layers         of all beads in print order
     solid          how many layers count as there; beneath the layer that is printed the core has grown everywhere
-    grown          its upper side as facets, by the number of layers; filled in when it is asked for
+    grown          its upper side as facets, worked out when it is asked for
     """
 
     body: MeshTop
@@ -113,7 +115,7 @@ class CoreSurface:
     levels: tuple[Level, ...]
     layers: tuple[int, ...]
     solid: int
-    grown: dict[int, FacetTree | None]
+    grown: LastTrees
 
     def before(self, bead: int) -> CoreSurface:
         """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
@@ -155,11 +157,10 @@ class CoreSurface:
 
     def _grown(self) -> FacetTree | None:
         """What has grown on the body, up to its middle where the reflected half is begun; None before the first layer."""
-        if self.solid not in self.grown:
-            self.grown[self.solid] = None if self.solid == 0 else self._facets(self.levels[self.solid - 1])
-        return self.grown[self.solid]
+        return self.grown.of(self.solid, self._facets) if self.solid else None
 
-    def _facets(self, level: Level) -> FacetTree | None:
+    def _facets(self) -> FacetTree | None:
+        level = self.levels[self.solid - 1]
         low, high = self.lower.span
         pitch = max(_PITCH, float((high - low).max()) / _MOST_PITCHES)
         axes = [np.arange(a, b, pitch) for a, b in zip(low, high, strict=True)]
@@ -169,11 +170,7 @@ class CoreSurface:
         layer[:, 2] = np.maximum(layer[:, 2], middle) if level.above_middle else np.minimum(layer[:, 2], middle)
         there = binary_dilation(self._there(plane).reshape(grid.shape[:2]))  # so that the rim is not cut off
         layer[~there.ravel()] = np.nan
-        p = layer.reshape(*grid.shape[:2], 3)
-        a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
-        facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
-        facets = facets[np.isfinite(facets).all(axis=(1, 2))]
-        return FacetTree.of(facets) if len(facets) else None
+        return FacetTree.over(layer.reshape(*grid.shape[:2], 3))
 
 
 @dataclass(frozen=True)
@@ -203,6 +200,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     trimmed = [path for path in trimmed if length(path.points) >= shortest]
     if not trimmed:
         raise _no_room(problem, "all pieces of the pattern within the core are too short")
+    check_curves(problem, [path.points for path in trimmed], 1, size_key(spec.source))
     surface, meshes = _surface(problem, spec, space, trimmed, least)
     curves = [_rounded(problem, surface, path) for path in trimmed]
 
@@ -334,7 +332,7 @@ def _surface(
             lower = lower.refined(middle)
         middle = middle.refined(lower)
     upright = float(np.cos(spec.tilt + _STEEPER))
-    return CoreSurface(body, lower, middle, least, upright, (), (), 0, {}), meshes
+    return CoreSurface(body, lower, middle, least, upright, (), (), 0, LastTrees()), meshes
 
 
 def _rounded(problem: Problem, surface: CoreSurface, path: PlanePath) -> PlaneCurve:

@@ -7,6 +7,7 @@ stop; the field has four continuous derivatives, and its distance from the facet
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import comb
 
@@ -17,7 +18,7 @@ from scipy.sparse import coo_array, csr_array, diags_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
-from planner.base.compiled import njit
+from planner.base.compiled import inner_njit, njit
 
 _LEAF = 4  # facets in a leaf
 _BITS = 20  # of each coordinate, by which facets are sorted
@@ -25,6 +26,7 @@ _DEPTH = 64  # of the stack: twice as many as boxes can be nested
 _UPWARD = 1e-6  # upward component of a facet's normal: below, it is not seen from above
 _RIM = 1e-9  # of a facet: a point this little outside still lies on it, so that no ray slips between two
 _TINY = 1e-30
+_KEPT = 16  # trees of layers, each of some 10 MB where a part is large
 
 _DEGREE = 5
 _STIFF = 1e-7  # weight of third differences against a sample's: where nothing is known the surface goes on as it was
@@ -65,6 +67,14 @@ class FacetTree(ReadOnlyArrays):
             highs.insert(0, highs[0].reshape(-1, 2, 3).max(axis=1))
         return cls(corners, normals, np.vstack(lows), np.vstack(highs), turned)
 
+    @classmethod
+    def over(cls, grid: Array) -> FacetTree | None:
+        """The tree of facets between the places of a grid (n, m, 3), where these are no NaN; None without any."""
+        a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
+        facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
+        facets = facets[np.isfinite(facets).all(axis=(1, 2))]
+        return cls.of(facets) if len(facets) else None
+
     def distance(self, points: Array) -> Array:
         """Distance (n,) of points (n, 3) from the nearest facet [m]."""
         return _distance(read_only(points), self.corners, self.low, self.high)
@@ -79,6 +89,22 @@ class FacetTree(ReadOnlyArrays):
         return np.where(found >= 0, self.normals[found, 2], np.nan)
 
 
+class LastTrees:
+    """Facets of what grows by layers, by how many of these are there: the last few that were asked for, since all of them
+    take gigabytes."""
+
+    def __init__(self) -> None:
+        self._trees: dict[int, FacetTree | None] = {}
+
+    def of(self, solid: int, facets: Callable[[], FacetTree | None]) -> FacetTree | None:
+        """The tree of so many layers; facets: makes it."""
+        tree = self._trees.pop(solid, None) or facets()
+        self._trees[solid] = tree
+        for old in list(self._trees)[:-_KEPT]:
+            self._trees.pop(old, None)
+        return tree
+
+
 def _morton(points: Array) -> NDArray[np.uint64]:
     """Points (n, 3) by the interleaved bits of their coordinates: near in this order is near in space."""
     span = np.maximum(np.ptp(points, axis=0).max(), _TINY)
@@ -90,7 +116,7 @@ def _morton(points: Array) -> NDArray[np.uint64]:
     return code
 
 
-@njit(cache=True)
+@inner_njit()
 def _box_gap(p: Array, low: Array, high: Array) -> float:
     """Squared distance of a point (3) from a box."""
     square = 0.0
@@ -100,7 +126,7 @@ def _box_gap(p: Array, low: Array, high: Array) -> float:
     return square
 
 
-@njit(cache=True)
+@inner_njit()
 def _facet_gap(p: Array, t: Array) -> float:
     """Squared distance of a point (3) from a facet (3, 3); after Ericson, Real-Time Collision Detection, 5.1.5."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -294,7 +320,7 @@ def fit(samples: Array, weights: Array, low: Array, high: Array, step: float) ->
     return HeightField(low.copy(), step, solved.reshape(shape) + middle)
 
 
-@njit(cache=True)
+@inner_njit()
 def _value(x: float, y: float, corner: Array, step: float, c: Array, basis: Array, out: Array) -> None:
     """Fill f and its derivatives by x, y, xx, xy, yy (6) at a place that is held within the rectangle."""
     u = min(max((x - corner[0]) / step, 0.0), c.shape[0] - 5.0)

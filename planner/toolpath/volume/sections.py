@@ -19,7 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
-from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
+from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, LastTrees, fit
 from planner.toolpath.substrate.mesh_top import MeshTop
 from planner.toolpath.volume.harmonic import POWERS, departures, harmonic_departures
 
@@ -173,7 +173,8 @@ class MorphedLayers:
     regions  what each layer covers in the plane
     layers   of all beads in print order
     solid    how many layers are there
-    grown    their upper side as facets, by their number; filled in when it is asked for
+    grown    their upper side as facets, worked out when it is asked for
+    tops     on the grid of these, how many layers were there last and their upper side's heights
     """
 
     morph: Morph
@@ -181,7 +182,8 @@ class MorphedLayers:
     regions: tuple[shapely.MultiPolygon, ...]
     layers: tuple[int, ...]
     solid: int = 0
-    grown: dict[int, FacetTree | None] = field(default_factory=dict, compare=False)
+    grown: LastTrees = field(default_factory=LastTrees, compare=False)
+    tops: list[tuple[int, Array]] = field(default_factory=list, compare=False)
 
     def before(self, bead: int) -> MorphedLayers:
         """The surface when the first `bead` beads have been printed: without the layer of the last of them."""
@@ -210,9 +212,7 @@ class MorphedLayers:
         return self.morph.field(self.layers[bead] + 1).at(tips[:, :2])[1]
 
     def _grown(self) -> FacetTree | None:
-        if self.solid not in self.grown:
-            self.grown[self.solid] = self._facets() if self.solid else None
-        return self.grown[self.solid]
+        return self.grown.of(self.solid, self._facets) if self.solid else None
 
     def _facets(self) -> FacetTree | None:
         """Facets over a grid, at the top of the uppermost layer that covers its corners."""
@@ -221,16 +221,16 @@ class MorphedLayers:
         axes = [np.arange(a, b, pitch) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         plane = grid.reshape(-1, 2)
-        top = np.full(len(plane), np.nan)
-        for layer, region in enumerate(self.regions[: self.solid]):
+        known, top = self.tops[0] if self.tops else (0, np.full(len(plane), np.nan))
+        if known > self.solid:
+            known, top = 0, np.full(len(plane), np.nan)
+        top = top.copy()
+        for layer, region in enumerate(self.regions[known : self.solid], known):
             there = shapely.contains_xy(region, plane[:, 0], plane[:, 1]).reshape(grid.shape[:2])
             covered = binary_dilation(there).ravel()  # so that the rim is not cut off
             top[covered] = self.morph.field(layer + 1).at(plane[covered])[0][:, 2]
-        p = np.column_stack([plane, top]).reshape(*grid.shape[:2], 3)
-        a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
-        facets = np.concatenate([np.stack(each, axis=-2).reshape(-1, 3, 3) for each in ((a, b, c), (a, c, d))])
-        facets = facets[np.isfinite(facets).all(axis=(1, 2))]
-        return FacetTree.of(facets) if len(facets) else None
+        self.tops[:] = [(self.solid, top)]  # beads are asked for in print order: the next time goes on from here
+        return FacetTree.over(np.column_stack([plane, top]).reshape(*grid.shape[:2], 3))
 
 
 class NotClosed(ValueError):

@@ -206,12 +206,12 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
     radius = 0.5 * (spacing + max(float(bead.width.max()) for bead in beads))
     beneath = _beneath(_dense(tips, normals, first, radius), tips, normals, centres, height, 2.0 * radius)
     owner = np.where(beneath >= 0, np.searchsorted(first, beneath, side="right") - 1, -1)
-    layers: list[int] = []
+    layers = np.zeros(len(beads), dtype=np.int64)
     for i, bead in enumerate(beads):
         below = owner[first[i] : first[i + 1]]
         below = below[(below >= 0) & (below < i)]
-        most = 2 * len(below) > len(bead.points)
-        layers.append(int(np.median(np.array(layers)[below])) + 1 if most else 0)
+        if 2 * len(below) > len(bead.points):
+            layers[i] = int(np.median(layers[below])) + 1
     since = np.where(beneath < 0, ALWAYS, np.repeat(np.arange(len(beads)), np.diff(first)))
     surfels = Surfels(
         read_only(tips),
@@ -224,7 +224,7 @@ def with_layers(beads: Sequence[Bead]) -> tuple[tuple[Bead, ...], Surfels]:
         printed_points(centres, since),
         tips_tree(tips),
     )
-    return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers, strict=True)), surfels
+    return tuple(replace(bead, layer=layer) for bead, layer in zip(beads, layers.tolist(), strict=True)), surfels
 
 
 def tips_tree(tips: Array) -> PrintedPoints:
