@@ -171,6 +171,12 @@ def test_a_chain_in_any_order_and_sense_is_one(data: st.DataObject) -> None:
     assert without_twins([*lines, lines[0]], 1e-6)[1] == 1
 
 
+def test_twins_may_differ_in_length() -> None:
+    one, other = (DrawnLine("line", "0", np.array([[0.0, 0.0], [x, 0.0]]), False) for x in (5.9e-6, 6.1e-6))
+    assert without_twins([one, other], 1e-6)[1] == 1
+    assert without_twins([one, DrawnLine("line", "0", np.array([[0.0, 0.0], [9.0e-6, 0.0]]), False)], 1e-6)[1] == 0
+
+
 def test_crossing_lines_go_straight_on() -> None:
     arms = [np.array([[0.0, 0.0], way]) for way in ([1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0])]
     chains = joined([DrawnLine(str(i), "0", arm, False) for i, arm in enumerate(arms)], 1e-6)

@@ -115,6 +115,10 @@ def test_the_cutter_is_no_fan() -> None:
     with pytest.raises(InputError, match="fan output 0 is the cutter's"):
         load_problem(small_problem().file, changes)
     assert load_problem(small_problem().file, [*changes[:1], "process.fan={number: 2}"]).process.fan.number == 2
+    for code in ("M106 S1, G4 P500", "M107", "M106 S1 P0"):  # without P it is fan 0
+        own = f"process.fibre={{cut_length_mm: 9, cut_code: [{code}]}}"
+        with pytest.raises(InputError, match="fan output 0 is the cutter's"):
+            load_problem(small_problem().file, [own, "process.fan={}"])
 
 
 def test_heat_is_waited_for_before_time_begins() -> None:

@@ -174,6 +174,8 @@ def with_nan() -> Array:
         ("cloud.npy", lambda path: np.save(path, np.ones((300, 2))), r"shape \(300, 2\)"),
         ("cloud.npy", lambda path: path.write_bytes(b"no array"), "no NumPy file"),
         ("cloud.npz", lambda path: np.savez(path, points=np.array([["a"] * 3] * 300)), "no NumPy file"),
+        ("cloud.npz", lambda path: np.savez(path), "no NumPy file"),
+        ("cloud.csv", lambda path: path.write_text("\nx_m,y,z\n" + "1,2,3\n" * 300), "cloud.csv:2: .*different units"),
         ("cloud.ply", lambda path: path.write_text("plywood"), "no PLY file"),
         ("cloud.xyz", lambda path: path.write_text("1 2 3\n4 5\n" * 200), "cloud.xyz:2: has no three numbers: '4 5'"),
         (

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.errors import InputError
+from planner.problem import load_problem
+from planner.toolpath.build import build_toolpath
 from planner.toolpath.svg import drawing
 from planner.toolpath.svg.drawing import Drawing
 from planner.toolpath.svg.outlines import PlanePath, read_svg
@@ -559,6 +561,12 @@ def test_files_that_are_not_there_or_too_large(tmp_path: Path) -> None:
     large.write_bytes(b"<svg>" + b" " * 20_000_001 + b"</svg>")
     with pytest.raises(InputError, match="larger than 20 MB"):
         read_svg(large, 0.1, 1e-5)
+
+
+def test_a_drawing_to_be_wrapped_is_named_by_its_field(tmp_path: Path) -> None:
+    problem = load_problem("cylinder_logo", [f"layers.source.svg={tmp_path / 'none.svg'}"])
+    with pytest.raises(InputError, match=r"layers\.source\.svg: there is no file"):
+        build_toolpath(problem)
 
 
 def test_where_names_the_field_that_asked(tmp_path: Path) -> None:

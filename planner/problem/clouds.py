@@ -143,8 +143,10 @@ def _of_archive(held: Mapping[str, Any]) -> Array:
     """The points of an archive's arrays. Raises KeyError where there are none."""
     if all(name in held for name in "xyz"):
         return np.stack([np.asarray(held[name], dtype=np.float64).ravel() for name in "xyz"], axis=1)
-    name = next((each for each in ("points", "xyz") if each in held), None)
-    return np.asarray(held[name or next(iter(held))], dtype=np.float64)
+    name = next((each for each in ("points", "xyz", *held) if each in held), None)
+    if name is None:
+        raise KeyError("no array")
+    return np.asarray(held[name], dtype=np.float64)
 
 
 def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
@@ -157,7 +159,12 @@ def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
     if len(rows) > 1 and rows[0][1].strip().isdecimal():  # PTS files begin with how many points there are
         rows = rows[1:]
         mark = next((each for each in (";", ",", "\t") if each in rows[0][1]), None)
-    columns, unit = _columns(rows[0][1], mark)
+    columns, units = _columns(rows[0][1], mark)
+    if len(units) > 1:
+        raise complain(
+            "names x, y and z in different units", line=rows[0][0], hint="one for all, such as x_mm, y_mm, z_mm"
+        )
+    unit = next(iter(units), None)
     if columns is not None:
         rows = rows[1:]
     if not rows:
@@ -170,8 +177,8 @@ def _text(path: Path, complain: Complaint) -> tuple[Array, str | None]:
     return np.asarray(table, dtype=np.float64).reshape(-1, 3), unit
 
 
-def _columns(head: str, mark: str | None) -> tuple[list[int] | None, str | None]:
-    """Where x, y and z stand by a header, and their unit; None for a line of numbers."""
+def _columns(head: str, mark: str | None) -> tuple[list[int] | None, set[str | None]]:
+    """Where x, y and z stand by a header, and their units; None for a line of numbers."""
     words = [word.strip(" \t\"'") for word in head.split(mark)]
     found: dict[str, tuple[int, str | None]] = {}
     for i, word in enumerate(words):
@@ -179,9 +186,8 @@ def _columns(head: str, mark: str | None) -> tuple[list[int] | None, str | None]
         if match:
             found.setdefault(match[1].lower(), (i, match[2] and match[2].lower()))
     if len(found) < 3:
-        return None, None
-    units = {unit for _, unit in found.values()}
-    return [found[name][0] for name in "xyz"], units.pop() if len(units) == 1 else None
+        return None, set()
+    return [found[name][0] for name in "xyz"], {unit for _, unit in found.values()}
 
 
 def _wrong_row(rows: Sequence[tuple[int, str]], mark: str | None, at: Sequence[int], path: Path) -> InputError:

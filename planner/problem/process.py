@@ -267,6 +267,14 @@ def check_board(problem: Problem) -> None:
             raise problem.error("process.fibre.cut_code", reason, "use M106, M107 and G4")
 
 
+def _fan_of(command: str) -> int | None:
+    """The fan output that a command of G-code switches: without P the first one."""
+    word, *parameters = command.split()
+    if word not in ("M106", "M107"):
+        return None
+    return next((int(each[1:]) for each in parameters if each[0] == "P"), 0)
+
+
 def _order(value: Any) -> str:
     """One line of a board's macro: outputs (M42, M106, M107), servos (M280), and pauses in milliseconds, one or several."""
     if not isinstance(value, str):
@@ -451,7 +459,7 @@ class AroundBeadSpec(Section):
     @model_validator(mode="after")
     def _cutter_is_no_fan(self) -> AroundBeadSpec:
         if self.fibre is not None and self.fan is not None:
-            taken = [each for each in self.fibre.commands if each.startswith(f"M106 P{self.fan.number} ")]
+            taken = [each for each in self.fibre.commands if _fan_of(each) == self.fan.number]
             if taken:
                 reason = f"fan output {self.fan.number} is the cutter's ({taken[0]})"
                 raise refusal(reason, "give fan.number, or fibre.cut_code", fields=["fan", "fibre"])

@@ -391,7 +391,7 @@ class ProgramSpec(Section):
             raise refusal(
                 f"widest_chord_mm, {1e3 * self.widest_chord:g}, is less than chord_mm, {1e3 * self.chord:g}",
                 "let it be as wide, or wider",
-                fields=["widest_chord", "chord"],
+                fields=["widest_chord_mm", "chord_mm"],
             )
         seen: dict[str, str] = {}
         for field in ("tool", "work_object", "station", "extruder_signal", "demand_signal"):

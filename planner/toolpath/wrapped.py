@@ -126,7 +126,8 @@ def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tu
     tolerance = problem.process.chord_tolerance
     if isinstance(spec.source, DxfSpec):
         return read_dxf(spec.source, tolerance, partial(problem.error, "layers.source.dxf"))
-    return read_svg(spec.source.svg, spec.source.width, tolerance), ()
+    where = partial(problem.error, "layers.source.svg")
+    return read_svg(spec.source.svg, spec.source.width, tolerance, where), ()
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

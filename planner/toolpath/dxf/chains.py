@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -30,16 +31,17 @@ class DrawnLine:
 
 def without_twins(lines: Sequence[DrawnLine], same: float) -> tuple[list[DrawnLine], int]:
     """The lines without those that lie on another, either way round, and how many these are."""
-    seen: dict[str, list[Array]] = defaultdict(list)
+    seen: dict[tuple[str, int], list[Array]] = defaultdict(list)
     kept = []
     for line in lines:
         arc = arc_lengths(line.points)
         at = np.linspace(0.0, arc[-1], _LOOKS)
         looks = np.column_stack([np.interp(at, arc, line.points[:, k]) for k in range(2)])
-        key = f"{line.group}/{round(float(arc[-1]) / (4.0 * same))}"
-        if any(min(np.abs(looks - o).max(), np.abs(looks[::-1] - o).max()) <= same for o in seen[key]):
+        long = round(float(arc[-1]) / (4.0 * same))  # twins may be of neighbouring lengths
+        like = chain.from_iterable(seen[line.group, each] for each in (long - 1, long, long + 1))
+        if any(min(np.abs(looks - o).max(), np.abs(looks[::-1] - o).max()) <= same for o in like):
             continue
-        seen[key].append(looks)
+        seen[line.group, long].append(looks)
         kept.append(line)
     return kept, len(lines) - len(kept)
 

@@ -52,7 +52,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
     another, the threads are printed by height. Raises InputError where too much would be left out, or too little is left.
     """
     file = spec.source.gcode
-    notes = [*_of_file(file, read), *_of_filament(problem, spec, read)]
+    notes = [*_of_file(problem, file, read), *_of_filament(problem, spec, read)]
     kept, told = _without_shares(problem, spec, read)
     notes += told
     kept, told = _levelled(file, kept, read.height)
@@ -86,7 +86,7 @@ def choose(problem: Problem, spec: GcodeLayersSpec, read: GcodeFile) -> ChosenTh
     return ChosenThreads(printed, above, tuple(notes), specks)
 
 
-def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
+def _of_file(problem: Problem, file: Path, read: GcodeFile) -> Iterator[str]:
     """What of the file was passed over as the printer's own, and what it leaves unsaid."""
     for count, where in (
         (read.before, "before the first layer"),
@@ -111,7 +111,7 @@ def _of_file(file: Path, read: GcodeFile) -> Iterator[str]:
         flows = ", ".join(f"{flow:.0%}" for flow in read.counted)
         yield f"{file.name}: M221 is the slicer's own compensation of the filament: {flows} of E is laid"
     tools = sorted({thread.tool for thread in read.threads})
-    if len(tools) > 1:
+    if len(tools) > 1 and not problem.cell.nozzles:
         yield f"{file.name}: tools {', '.join(map(str, tools))} print in turn; here one nozzle lays all of it"
 
 
