@@ -7,15 +7,12 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
 from planner.cell.kinematics.chain import invert6, largest_singular_value
 from planner.cell.kinematics.spherical_wrist import (
     SphericalWrist,
-    all_turns,
     inverse_jacobian,
     jacobian,
     sines_of,
@@ -298,22 +295,6 @@ def test_solve_says_what_does_not_exist() -> None:
     _, ok = wrist.solve(far)
     assert not ok.any(axis=1)[0]
     assert not ok[1, :4].any()
-
-
-@given(
-    q=st.lists(st.floats(-20, 20), min_size=1, max_size=4),
-    low=st.floats(-9, 9),
-    span=st.floats(0, 14),
-)
-def test_all_turns_against_brute_force(q: list[float], low: float, span: float) -> None:
-    n = len(q)
-    q_min = low + 0.3 * np.arange(n)
-    q_max = q_min + span
-    got = all_turns(np.array(q), q_min, q_max)
-    per_joint = [[v for k in range(-8, 9) if a <= (v := x + 2.0 * np.pi * k) <= b] for x, a, b in zip(q, q_min, q_max)]  # noqa: B905
-    expected = np.array(list(itertools.product(*per_joint))).reshape(-1, n)
-    assert got.shape == expected.shape
-    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
 
 
 # --- reach ------------------------------------------------------------------------------------------------------

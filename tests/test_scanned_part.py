@@ -90,6 +90,12 @@ def test_a_scan_is_turned_moved_and_enlarged(tmp_path: Path) -> None:
     assert errors(built(tmp_path, keys))[0] < 0.06
 
 
+def test_a_scan_whose_header_names_a_wrong_unit_is_told_its_scale(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "dome.csv", dome(RADII), delimiter=",", header="x_m,y_m,z_m", comments="")
+    with pytest.raises(InputError, match=r"mm across \(.*scale: 0\.001 makes it 10"):
+        built(tmp_path, "file: dome.csv")
+
+
 @pytest.mark.slow(keep=4)
 @pytest.mark.parametrize(
     ("spoil", "keys", "words"),

@@ -19,7 +19,7 @@ from planner.base.errors import InputError
 from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.ordering import reverse, shorten_travel, travel_length
+from planner.toolpath.ordering import reverse, shorten_travel
 from planner.toolpath.plane_paths import PlaneCurve, arc_length, round_corners, with_seam
 from planner.toolpath.runs import RISE_PER_LENGTH, BeadRun, with_runs
 from planner.toolpath.svg.outlines import PlanePath
@@ -34,6 +34,11 @@ CYLINDER = Cylinder(0.034, 0.1, np.array([0.0314, 0.037]))
 def curve_of(points: object, closed: bool = False, name: str = "curve") -> PlaneCurve:
     points = np.array(points, dtype=float)
     return PlaneCurve(name, points, points, closed)
+
+
+def travel_length(curves: Sequence[PlaneCurve]) -> float:
+    """Straight-line travel between the curves in their order [m]."""
+    return sum(float(np.hypot(*(b.points[0] - a.points[-1]))) for a, b in itertools.pairwise(curves))
 
 
 def line(start: tuple[float, float], end: tuple[float, float], n: int = 101) -> PlaneCurve:

@@ -24,7 +24,7 @@ from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body, Look
-from planner.cell.urdf import Urdf, link_frame, model_of, read_urdf, sliding_joints, turning_joints
+from planner.cell.urdf import Urdf, link_frame, model_of, moving_joints, names_of, read_urdf, sliding_joints
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
@@ -168,7 +168,7 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
     """Pinocchio's model of the joints from base to tip, with the ranges and speeds that the robot's file knows."""
     tip = file.text("tip")
     file.known("tip", "link", tip, urdf.links())
-    joints = turning_joints(urdf, tip)
+    joints = names_of(moving_joints(urdf, tip))
     if not joints:
         raise file.error("tip", f"no joint moves between the base and {tip}")
     ranges = file.ranges(joints, sliding_joints(urdf, tip))

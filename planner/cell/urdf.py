@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -148,14 +148,24 @@ def _check_tree(urdf: Urdf) -> None:
             raise urdf.error(element, f"link {link}", "hangs on itself", "links form a tree")
 
 
-def turning_joints(urdf: Urdf, tip: str) -> list[str]:
-    """Names of the joints from the base to the tip that are not fixed, base first."""
-    return [joint.get("name", "") for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
+def moving_joints(urdf: Urdf, tip: str) -> list[ET.Element]:
+    """The joints from the base to the tip that are not fixed, base first."""
+    return [joint for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
+
+
+def names_of(joints: Iterable[ET.Element]) -> list[str]:
+    """Names of joints; of one without a name it is empty."""
+    return [joint.get("name", "") for joint in joints]
+
+
+def moved_by(urdf: Urdf, link: str) -> str:
+    """Name of the joint that moves a link and nothing before it; empty where none does."""
+    return next(reversed(names_of(moving_joints(urdf, link))), "")
 
 
 def sliding_joints(urdf: Urdf, tip: str) -> list[str]:
     """Names of those that slide."""
-    return [joint.get("name", "") for joint in joints_to(urdf, tip) if joint.get("type") == "prismatic"]
+    return names_of(joint for joint in moving_joints(urdf, tip) if joint.get("type") == "prismatic")
 
 
 def model_of(urdf: Urdf, tip: str, ranges: Ranges, speeds_given: bool) -> pin.Model:

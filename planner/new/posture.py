@@ -24,8 +24,11 @@ OUT = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True)
 class Reached:
-    """How well points are reached: the worst share of what would be good (0 to 1; 0 is not at all), and postures (m, n)
-    of the first point [rad], the best one first, none like another; links of an arm may be too near each other in one."""
+    """How well points are reached.
+
+    worth     of the worst one, from 0 (out of reach) to 1
+    postures  (m, n) of the first point [rad], the best one first, none like another; links may be too near each other in one
+    """
 
     worth: float
     postures: Array

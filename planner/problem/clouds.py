@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_bytes, read_text
-from planner.problem.mesh_files import GREATEST, SMALLEST, read_corners
+from planner.problem.mesh_files import GREATEST, SMALLEST, read_corners, unit_of
 from planner.problem.mesh_files import SUFFIXES as MESHES
 from planner.problem.part import UNITS, ScanSpec
 
@@ -43,6 +43,11 @@ def read_cloud(path: Path, unit: str | None = None, option: str = "--unit") -> A
     option: where the unit is given. Raises InputError with file and line for what cannot be read, for numbers that are not
     finite, for too few points or too many, and for two units.
     """
+    return _cloud_and_unit(path, unit, option)[0]
+
+
+def _cloud_and_unit(path: Path, unit: str | None, option: str) -> tuple[Array, str | None]:
+    """As `read_cloud`, and the unit that the file itself names."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES)
@@ -67,7 +72,7 @@ def read_cloud(path: Path, unit: str | None = None, option: str = "--unit") -> A
             f"{count} of its {len(points)} points are not finite, or endlessly far away, the first is number {first}"
         )
         raise complain(reason, hint="leave them out")
-    return points * (UNITS[unit or told or "mm"] * 1e-3)
+    return points * (UNITS[unit or told or "mm"] * 1e-3), told
 
 
 def read_scan(spec: ScanSpec, where: Complaint) -> Array:
@@ -76,6 +81,7 @@ def read_scan(spec: ScanSpec, where: Complaint) -> Array:
     Raises InputError for what cannot be read, and of `where` for a scan that is too small or too large to be a part.
     """
     if spec.file.suffix.lower() in MESHES and not (spec.file.suffix.lower() == ".ply" and not _has_facets(spec.file)):
+        known, told = unit_of(spec.file, where), None
         corners = read_corners(spec.file, where, spec.unit, spec.scale)
         turned = Rotation.from_euler("xyz", spec.rpy).apply(corners.reshape(-1, 3)).reshape(-1, 3, 3)
         up = np.cross(turned[:, 1] - turned[:, 0], turned[:, 2] - turned[:, 0])[:, 2] > 0.0
@@ -83,12 +89,14 @@ def read_scan(spec: ScanSpec, where: Complaint) -> Array:
         if len(points) < FEWEST:
             raise where(f"{spec.file.name} has {len(points)} corners of facets that face upwards", hint=_TURN)
     else:
-        points = read_cloud(spec.file, spec.unit, "unit") * spec.scale
-        points = Rotation.from_euler("xyz", spec.rpy).apply(points)
+        points, told = _cloud_and_unit(spec.file, spec.unit, "unit")
+        known = told or "mm"
+        points = Rotation.from_euler("xyz", spec.rpy).apply(points * spec.scale)
     across = float(np.ptp(points, axis=0).max()) * 1e3
     if not SMALLEST <= across <= GREATEST:
-        sizes = {name: across * mm / UNITS[spec.unit or "mm"] for name, mm in UNITS.items()}
-        likely = [f"unit: {name} makes it {size:.4g} mm" for name, size in sizes.items() if 20.0 <= size <= 2000.0]
+        times = {name: mm / UNITS[spec.unit or known] for name, mm in UNITS.items()}
+        sizes = {f"unit: {name}" if told is None else f"scale: {x:g}": across * x for name, x in times.items()}
+        likely = [f"{key} makes it {size:.4g} mm" for key, size in sizes.items() if 20.0 <= size <= 2000.0]
         raise where(f"{spec.file.name} is {across:.4g} mm across", hint="; ".join([*likely, "or give scale"]))
     return np.asarray(points + np.asarray(spec.origin))
 

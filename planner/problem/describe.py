@@ -21,7 +21,6 @@ from planner.problem.yaml_file import shipped_problems
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
-    from planner.problem.problem import Problem
     from planner.toolpath.bead import Toolpath
 
 MODELINE = "# yaml-language-server:"  # for editors
@@ -187,7 +186,7 @@ def _held_by(problem: Problem, cell: Cell) -> str:
     if spec is None or robot is None:
         at = _value(tuple(1e3 * value for value in problem.cell.bed or ()))
         return f"a fixed bed; the part frame's origin at {at} mm"
-    slides = {} if robot is None else dict(zip(robot.joint_names, robot.slides, strict=True))
+    slides = dict(zip(robot.joint_names, robot.slides, strict=True))
     held = ", ".join(
         f"{name} at {at * 1e3:g} mm" if slides[name] else f"{name} at {np.degrees(at):g} deg"
         for name, at in cell.held.items()

@@ -71,7 +71,7 @@ class BeadSpec(Section):
     """Cross-section of a bead."""
 
     width: Thickness = key("width_mm", "width [mm]")
-    # NaN only until Process is complete and the layers' height is put in its place.
+    # NaN where the G-code says how high its beads are; else until the layers' height is put in its place.
     height: Thickness = Field(
         default_factory=lambda: math.nan,
         validate_default=False,

@@ -11,7 +11,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.cell.robot import Robot, base_to_tip
 from planner.cell.solids import Hull, triangles_of
-from planner.cell.urdf import Urdf, joints_to, link_frame
+from planner.cell.urdf import Urdf, joints_to, link_frame, moved_by
 
 DEEP = 10e-3  # m: a frame no deeper is at the end, whatever stands out of it, a pin or a screw
 NEAR = 5e-3  # m from the end, of a frame that is there
@@ -49,12 +49,12 @@ def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
     deep = depth(robot, outwards)
     if deep <= DEEP:
         return None
-    model, moved = robot.model, _moved(urdf, robot.tip)
+    model, moved = robot.model, moved_by(urdf, robot.tip)
     T_tip = model.frames[link_frame(model, robot.tip)].placement.homogeneous
     found = []
     for name in urdf.links():
         path = [joint.find("child").get("link", "") for joint in joints_to(urdf, name)]  # type: ignore[union-attr]
-        if _moved(urdf, name) != moved or robot.tip not in path[:-1]:
+        if moved_by(urdf, name) != moved or robot.tip not in path[:-1]:
             continue
         links = urdf.links()
         if any(
@@ -68,9 +68,3 @@ def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
         if np.linalg.norm(T[:3, 3] - along * outwards) < ASIDE and abs(along - deep) < NEAR:
             found.append((-round(float(T[:3, 2] @ outwards), 6), abs(along - deep), name))
     return min(found)[2] if found else None
-
-
-def _moved(urdf: Urdf, link: str) -> str:
-    """The joint that moves a link and nothing before it."""
-    moving = [joint.get("name", "") for joint in joints_to(urdf, link) if joint.get("type") != "fixed"]
-    return moving[-1] if moving else ""

@@ -21,7 +21,7 @@ from planner.cell.kinematics.placed_wrist import read_spherical_wrist
 from planner.cell.kinematics.seven_axes import FAR, NEAR, read_seven_axes
 from planner.cell.kinematics.skew_wrist import read_skew_wrist
 from planner.cell.robot import base_to_tip
-from planner.cell.urdf import Urdf, joints_to, model_of
+from planner.cell.urdf import Urdf, joints_to, model_of, moved_by, moving_joints
 
 AXES = (6, 7)  # of arms that can be planned with
 FLANGES = (  # names of flange links, best first
@@ -76,7 +76,7 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
     elif tip not in urdf.links():
         near = nearest_name(tip, urdf.links())
         raise InputError(f"no link {tip!r}", file=urdf.path, hint=f"did you mean {near}?" if near else None)
-    joints = [joint for joint in joints_to(urdf, tip) if joint.get("type") != "fixed"]
+    joints = moving_joints(urdf, tip)
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
@@ -133,7 +133,7 @@ def _arms(urdf: Urdf) -> dict[str, int]:
     """How many joints lead to each link of which all turn, each by its own motor."""
     found = {}
     for link in urdf.links():
-        moving = [joint for joint in joints_to(urdf, link) if joint.get("type") != "fixed"]
+        moving = moving_joints(urdf, link)
         if all(joint.get("type") in ("revolute", "continuous") and joint.find("mimic") is None for joint in moving):
             found[link] = len(moving)
     return found
@@ -154,7 +154,7 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
     if named:
         most_axes = max(ways[link] for link in named)
         named = [link for link in named if ways[link] == most_axes]
-        if len({_last_joint(urdf, link) for link in named}) > 1:
+        if len({moved_by(urdf, link) for link in named}) > 1:
             raise InputError(f"several arms: {', '.join(named)}", file=urdf.path, hint="--tip says which one")
         # of the frames of one flange, one whose z points out of it, which other frames of the same name may not
         return min(named, key=lambda link: (_outwards(_chain(urdf, link))[2] < ALONG, _rank(link), len(link)))
@@ -177,14 +177,9 @@ def _rank(link: str) -> int:
     return next((k for k, name in enumerate(FLANGES) if re.fullmatch(rf"(.*[_/-])?{name}", link)), len(FLANGES))
 
 
-def _last_joint(urdf: Urdf, link: str) -> str:
-    """The joint that moves a link and nothing before it."""
-    return [joint.get("name", "") for joint in joints_to(urdf, link) if joint.get("type") != "fixed"][-1]
-
-
 def _chain(urdf: Urdf, link: str) -> Chain:
     """The joints to a link, whatever they leave open."""
-    open_, _ = _left_open([joint for joint in joints_to(urdf, link) if joint.get("type") != "fixed"])
+    open_, _ = _left_open(moving_joints(urdf, link))
     return base_to_tip(model_of(urdf, link, dict.fromkeys(open_, (-np.pi, np.pi)), True), link)
 
 

@@ -1,8 +1,8 @@
 """Which places of beads lie on which places of others, as the toolpath draws them: what ages between layers are foreseen from.
 
 A place looks down its normal by its bead's height. What is nearest there of the layers before it is what it lies on, and so is
-whatever is about as near, since the executed motion may be nearer to that; but not what is so near at this place alone, as
-the other end of a closed bead, or a bead that crosses. The verifier finds anew, from the motion, what each place lies on.
+whatever is about as near, since the executed motion may be nearer to that. A bead that only crosses here, or the other end of a
+closed bead, does not count. The verifier finds anew, from the motion, what each place lies on.
 Where one bead rises over itself, it lies on its own earlier turn. Struts lie on nothing.
 """
 

@@ -89,11 +89,6 @@ def nearest_first(lines: Sequence[tuple[Array, bool]]) -> list[tuple[int, bool]]
     return order
 
 
-def travel_length(curves: Sequence[PlaneCurve]) -> float:
-    """Straight-line travel between the curves in their order [m]."""
-    return sum(float(np.hypot(*(b.points[0] - a.points[-1]))) for a, b in zip(curves[:-1], curves[1:], strict=True))
-
-
 @njit(cache=True)
 def _nearest_neighbour(ends: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     n = len(ends)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import inner_njit, njit
+from planner.cell.kinematics.axes import REACH_ROUNDING, TURN, wrap
 from planner.cell.kinematics.chain import Chain
 
 # ----------------------------------------------------------------------------------------------------
@@ -120,8 +121,6 @@ def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
 
 BRANCHES = 8
 BEHIND_AXIS_1, BEHIND_LOWER_ARM, AXIS_5_NEGATIVE = 4, 2, 1  # the bits of a branch number are those of ABB's cfx
-_TURN = 2.0 * np.pi
-_REACH_ROUNDING = 1e-10  # cosine beyond 1 by this much is a stretched arm, not one out of reach
 ALL_ROUND = 1e3  # rad: from -ALL_ROUND to ALL_ROUND is a range that bounds nothing
 _STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set to 0
 
@@ -196,24 +195,6 @@ class SphericalWrist:
         return np.minimum(*gaps)
 
 
-def all_turns(q: Array, q_min: Array, q_max: Array) -> Array:
-    """Every posture (k, n) that equals q (n) up to whole turns of its joints and lies within the limits.
-
-    Ordered by joint; none if a joint cannot be brought into its range.
-    """
-    choices = []
-    for value, low, high in zip(q, q_min, q_max, strict=True):
-        first, last = np.ceil((low - value) / _TURN), np.floor((high - value) / _TURN)
-        choices.append(value + _TURN * np.arange(first, last + 1))
-    return np.stack(np.meshgrid(*choices, indexing="ij"), axis=-1).reshape(-1, len(q))
-
-
-@inner_njit()
-def _wrap(angle: float) -> float:
-    """Angle in (-pi, pi]."""
-    return angle - _TURN * np.ceil((angle - np.pi) / _TURN)
-
-
 @njit(cache=True)
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, 6), each angle in (-pi, pi], and ok (8) with all postures for one flange pose: see `solve_within`."""
@@ -221,7 +202,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
     for i in range(8):
         if ok[i]:
             for j in range(6):
-                q[i, j] = _wrap(q[i, j])
+                q[i, j] = wrap(q[i, j])
 
 
 @inner_njit(error_model="numpy")
@@ -236,7 +217,7 @@ def solve_within(
     cx, cy, h = t[0] - c4 * R[0, 2], t[1] - c4 * R[1, 2], t[2] - c4 * R[2, 2] - c1
     across2 = cx * cx + cy * cy
     rho2 = across2 - b * b
-    if not rho2 >= -_REACH_ROUNDING * across2:
+    if not rho2 >= -REACH_ROUNDING * across2:
         return
     rho = np.sqrt(max(rho2, 0.0))
     k = np.sqrt(a2 * a2 + c3 * c3)
@@ -249,7 +230,7 @@ def solve_within(
         radial = side - a1
         s2 = radial * radial + h * h
         cos3 = (s2 - c2 * c2 - k * k) / (2.0 * c2 * k)
-        if not abs(cos3) <= 1.0 + _REACH_ROUNDING:
+        if not abs(cos3) <= 1.0 + REACH_ROUNDING:
             continue
         s1, co1 = 0.0, 1.0 if shoulder == 0 else -1.0  # the wrist's centre on axis 1: any angle will do
         if across2 > 0.0:
@@ -295,7 +276,7 @@ def solve_within(
 def _may_stand(angle: float, low: float, high: float) -> bool:
     """Whether an angle, turned as near to the middle as whole turns bring it, lies within a range."""
     away = angle - 0.5 * (low + high)
-    return abs(away - _TURN * np.rint(away / _TURN)) <= 0.5 * (high - low)
+    return abs(away - TURN * np.rint(away / TURN)) <= 0.5 * (high - low)
 
 
 @njit(cache=True)
@@ -350,14 +331,14 @@ def branch_of(p: Array, q: Array) -> int:
     """Branch number of one posture q (6)."""
     a1, a2, c2, c3 = p[0], p[1], p[4], p[5]
     theta2, theta3 = q[1], q[2] + 0.5 * np.pi
-    phi3 = _wrap(theta3 + np.arctan2(a2, c3))
+    phi3 = wrap(theta3 + np.arctan2(a2, c3))
     radial = a1 + c2 * np.sin(theta2) + c3 * np.sin(theta2 + theta3) + a2 * np.cos(theta2 + theta3)
     behind = 0
     if radial < 0.0:
         behind += BEHIND_AXIS_1
     if phi3 < 0.0:
         behind += BEHIND_LOWER_ARM
-    if _wrap(q[4]) < 0.0:
+    if wrap(q[4]) < 0.0:
         behind += AXIS_5_NEGATIVE
     return behind
 

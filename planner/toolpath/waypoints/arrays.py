@@ -150,7 +150,7 @@ def _numbers(name: str, value: Any) -> Array:
         found = np.asarray(value)
     except ValueError:  # rows of different lengths
         raise InputError("is no array: its rows differ in length", field=name) from None
-    if found.dtype.kind not in "fiu" or found.dtype.kind == "b":
+    if found.dtype.kind not in "fiu":
         what = "nothing" if value is None else f"an array of {found.dtype}"
         raise InputError(f"must be numbers, not {what}", field=name)
     return found.astype(float)
