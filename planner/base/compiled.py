@@ -194,6 +194,26 @@ def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Ite
         yield
 
 
+@contextmanager
+def counting_compiled() -> Iterator[Callable[[], int]]:
+    """In the block, what tells how many kernels of ours were compiled since it began."""
+    counter = _Counter()
+    with event.install_listener("numba:compile", counter):
+        yield lambda: counter.count
+
+
+class _Counter(event.Listener):
+    """Counts the kernels of ours that are compiled."""
+
+    count = 0
+
+    def on_start(self, event: Any) -> None:
+        self.count += _is_ours(event.data["dispatcher"])
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
 class _Listener(event.Listener):
     """Calls `begun` at the first kernel of ours that is compiled, and what that returns after every one."""
 
