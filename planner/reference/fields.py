@@ -37,7 +37,7 @@ _ROBOT_HEAD = """\
 *Made by `python -m planner.reference`; do not edit.*
 
 What a URDF cannot say of a robot stands in a YAML file: `robots/<name>.yaml` of those that ship, or a file of your \
-own, which the problem names in `cell.arm` or `cell.positioner.robot`. [A robot of your own](../own_robot.md) shows \
+own, which the problem names in `cell.arm`, `cell.base.robot` or `cell.positioner.robot`. [A robot of your own](../own_robot.md) shows \
 all of it; `python -m planner.robots my_robot.yaml` tells what was read. [robot.schema.json](../robot.schema.json) \
 is its JSON schema.
 """
