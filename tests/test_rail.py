@@ -25,6 +25,9 @@ from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
+from planner.register.finding import scene_of
+from planner.register.places import reachable
+from planner.register.telling import place_words
 from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.sqp import free_variables
 from planner.resolve.terms import model_of
@@ -510,6 +513,16 @@ process:
 resolve: {roll_step_deg: 30, table_step_deg: 15, rung_mm: 40}
 strategy: sqp
 """
+
+
+def test_where_to_touch_on_a_table_that_slides(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "long.txt", [[x, 0, 0, 0, 0, 1] for x in (-200, 0, 200)])
+    (tmp_path / "slide.yaml").write_text(SLIDING, encoding="utf-8")
+    here = scene_of(load_problem(tmp_path / "slide.yaml"))
+    places = reachable(here.cell, here.start, np.zeros((1, 3)), np.array([[0.0, 0.0, 1.0]]))
+    low, high = here.cell.limits.q_min[6], here.cell.limits.q_max[6]
+    assert np.ptp(places.q) > 0.4 * (high - low)
+    assert f", rail {places.q[0, 0] * 1e3:.0f} mm, nozzle" in place_words(here, places, 0, here.start)
 
 
 @pytest.fixture(scope="module")

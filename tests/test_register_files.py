@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 
 from benchmarks.touching import cartesian, misplaced, tips_of, write_contacts
 from planner.base.errors import InputError
-from planner.register.contacts import read_readings
+from planner.cell.cell import build_cell
+from planner.problem import load_problem
+from planner.register.contacts import contacts_of, read_readings
 from planner.register.finding import Ask, register
 
 # Files
@@ -75,6 +77,24 @@ def test_a_bad_file_is_told_with_its_line(tmp_path: Path, lines: list[str], line
         read(tmp_path, *lines)
     assert words_ in str(caught.value)
     assert (caught.value.line, caught.value.file) == (line, tmp_path / "contacts.csv")
+
+
+def test_readings_of_a_rail_are_lengths(tmp_path: Path) -> None:
+    cell = build_cell(load_problem("rail_panel"))
+    q = cell.home[None] + np.array([[0.0] * 7, [0.25, 0.1, -0.1, 0.2, 0.3, -0.2, 0.4]])
+    shown = np.where(cell.limits.turns, np.degrees(q), q * 1e3)
+    joints = {name: shown[:, j] for j, name in enumerate(cell.joint_names)}
+    file = write_contacts(tmp_path / "contacts.csv", {"rail_mm": joints.pop("rail"), **joints})
+    found = contacts_of(cell, read_readings(file, cell))
+    np.testing.assert_allclose(found.tips, cell.arm.poses(q)[:, :3, 3], atol=1e-7)
+    file.write_text(file.read_text().replace("rail_mm", "rail_deg"))
+    with pytest.raises(InputError, match="is in deg") as caught:
+        read_readings(file, cell)
+    assert caught.value.hint is not None and "rail_mm" in caught.value.hint
+    file.write_text("x_mm,y_mm\n1,2\n")
+    with pytest.raises(InputError) as caught:
+        read_readings(file, cell)
+    assert caught.value.hint is not None and "or rail_mm, joint_1, joint_2" in caught.value.hint
 
 
 @given(st.text(alphabet=st.sampled_from("xyz_mrotain,;\t\n 0123456789.e-+#\"'nf\x00é[]"), max_size=200))

@@ -38,9 +38,9 @@ class Readings(ReadOnlyArrays):
 
     file, lines (n), names (n)   where each stands, from line 1, and what it is called
     tips (n, 3)      the tip in the world [mm]; or else
-    joints (n, a)    the arm's joints [deg]
+    joints (n, a)    the arm's joints [deg, mm where they slide]
     axes (n, 3)      directions in which the nozzle points, if the file tells them
-    holder (n, k)    free axes of what holds the part [deg]
+    holder (n, k)    free axes of what holds the part [deg, mm]
     """
 
     file: Path
@@ -74,8 +74,8 @@ class Contacts(ReadOnlyArrays):
 def read_readings(file: Path, cell: Cell) -> Readings:
     """Read a CSV file of contacts made in this cell.
 
-    A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees; the free axes of what holds the
-    part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas, semicolons, tabs or blanks.
+    A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees, or mm of one that slides; the free
+    axes of what holds the part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas, semicolons, tabs or blanks.
     Raises InputError with file, line and column for whatever is wrong.
     """
     lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
@@ -103,7 +103,7 @@ def read_readings(file: Path, cell: Cell) -> Readings:
             raise InputError(
                 f"the header names {len(words)} columns; here are {count}", file=file, line=line, hint=hint
             )
-        table.append([_number(cells[k], column, file, line) for column, k in places.items()])
+        table.append([_number(cells[k], column, _unit(column, cell), file, line) for column, k in places.items()])
         names.append(str(len(table)) if name_at is None else cells[name_at][:20])
     columns = dict(zip(places, np.array(table).T, strict=True))
     numbers = np.array([line for line, _ in rows[1:]], dtype=np.int64)
@@ -139,8 +139,10 @@ def _readings(
 def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str = "degrees") -> Contacts:
     """The contacts that readings stand for, were their lengths and angles in these units (LENGTHS, ANGLES)."""
     tips, axes = readings.tips, readings.axes
+    units = np.where(cell.limits.turns, ANGLES[angle], LENGTHS["mm"])
+    na = len(cell.arm)
     if readings.joints is not None:
-        T_world_nozzle = cell.arm.poses(readings.joints * ANGLES[angle])
+        T_world_nozzle = cell.arm.poses(readings.joints * units[:na])
         tips, axes = T_world_nozzle[:, :3, 3], T_world_nozzle[:, :3, 2]
     elif tips is not None:
         tips = tips * LENGTHS[length]
@@ -152,12 +154,12 @@ def contacts_of(cell: Cell, readings: Readings, length: str = "mm", angle: str =
         file=readings.file,
         tips=tips,
         axes=axes,
-        T_world_plate=plate_poses(cell, readings.holder * ANGLES[angle]),
+        T_world_plate=plate_poses(cell, readings.holder * units[na:]),
     )
 
 
 def plate_poses(cell: Cell, q: Array) -> Array:
-    """What the part stands on (m, 4, 4) in the world, at angles q (m, k) [rad] of its free axes; of a bed, the world."""
+    """What the part stands on (m, 4, 4) in the world, its free axes at q (m, k) [rad, m]; of a bed, the world."""
     if cell.holder_robot is None:
         return np.tile(np.eye(4), (len(q), 1, 1))
     return np.asarray(cell.holder.poses(q) @ np.linalg.inv(cell.T_plate_part))
@@ -172,11 +174,16 @@ def other_units(readings: Readings) -> list[tuple[str, str]]:
 
 def _expected(cell: Cell) -> str:
     na = len(cell.arm)
-    free = cell.joint_names[na:]
-    also = f", and {', '.join(free)}" if free else ""
-    return (
-        f"columns x_mm, y_mm, z_mm, or {', '.join(cell.joint_names[:na])} in degrees{also}; if wanted name, ax, ay, az"
-    )
+    names = [f"{name}_mm" if _unit(name, cell) == "mm" else name for name in cell.joint_names]
+    also = f", and {', '.join(names[na:])}" if names[na:] else ""
+    return f"columns x_mm, y_mm, z_mm, or {', '.join(names[:na])} in degrees{also}; if wanted name, ax, ay, az"
+
+
+def _unit(column: str, cell: Cell) -> str:
+    """The unit of a column: "mm", "deg", or none."""
+    if column not in cell.joint_names:
+        return "mm" if column in TIP else ""
+    return "mm" if cell.joint_names.index(column) in cell.limits.sliding else "deg"
 
 
 def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
@@ -203,7 +210,7 @@ def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
         name = known[plain]
         if name in places:
             raise wrong(f"column {name} is there twice")
-        right = "mm" if name in TIP else "deg" if name in joints else ""
+        right = _unit(name, cell)
         if unit not in ("", right):
             raise wrong(f"column {word[:40]!r} is in {unit}", hint=f"lengths in mm, angles in degrees: {name}_{right}")
         places[name] = k
@@ -231,14 +238,14 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _number(word: str, column: str, file: Path, line: int) -> float:
+def _number(word: str, column: str, unit: str, file: Path, line: int) -> float:
     wrong = partial(InputError, file=file, line=line, field=column)
     if not word:
         raise wrong("is missing")
     if not _is_number(word) or "_" in word:
         hint = "a decimal point, not a comma" if "," in word else None
         raise wrong(f"{word[:40]!r} is not a number", hint=hint)
-    value, unit = float(word), "mm" if column in TIP else "" if column in AXIS else "deg"
+    value = float(word)
     if not abs(value) <= FARTHEST[unit]:
         why = "is too large" if abs(value) < math.inf else "is not a finite number"
         raise wrong(f"{word[:40]} {why}", hint=f"at most {FARTHEST[unit]:g} {unit}".rstrip())

@@ -122,7 +122,7 @@ _HEIGHTS = 1_000  # at which a next place is judged: places times heights bound 
 class TouchPlaces(ReadOnlyArrays):
     """Places (n) that the nozzle can touch along the surface's normal.
 
-    points, normals (n, 3)  part frame;  q (n, k) angles of the holder's free axes [rad];  T_world_plate (n, 4, 4)
+    points, normals (n, 3)  part frame;  q (n, k) of the holder's free axes [rad, m];  T_world_plate (n, 4, 4)
     """
 
     points: Array
@@ -267,17 +267,19 @@ def _taken(places: TouchPlaces, others: list[int], table: bool) -> NDArray[np.bo
 
 
 def _holder_angles(cell: Cell) -> list[Array]:
-    """Angles of the holder's free axes at which places are looked at: home, and each axis turned in steps."""
+    """Where the holder's free axes are when places are looked at: home, and each axis turned, or slid, in steps."""
     na = len(cell.arm)
     home, low, high = cell.home[na:], cell.limits.q_min[na:], cell.limits.q_max[na:]
     out = [home]
+    turns = 2.0 * np.pi * np.arange(1, _ANGLES) / _ANGLES
+    turns[turns > np.pi] -= 2.0 * np.pi
     for k in range(len(home)):
-        for turn in 2.0 * np.pi * np.arange(1, _ANGLES) / _ANGLES:
-            angle = home[k] + (turn if turn <= np.pi else turn - 2.0 * np.pi)
-            if low[k] <= angle <= high[k]:
-                q = home.copy()
-                q[k] = angle
-                out.append(q)
+        slides = na + k in cell.limits.sliding
+        steps = np.linspace(low[k], high[k], _ANGLES) if slides else home[k] + turns
+        for step in steps[(steps >= low[k]) & (steps <= high[k])]:
+            q = home.copy()
+            q[k] = step
+            out.append(q)
     return out
 
 

@@ -251,12 +251,15 @@ def turntable_lines(found: Registration) -> list[str]:
 
 
 def place_words(scene: Scene, places: TouchPlaces, k: int, placement: Placement) -> str:
-    """A place to touch, in the part frame and in the world, with the angles of the holder."""
+    """A place to touch, in the part frame and in the world, and where the holder's axes are."""
     p = places.points[k]
     T = places.T_world_plate[k] @ placement.T_plate_part
     world, axis = T[:3, :3] @ p + T[:3, 3] + placement.shift, -T[:3, :3] @ places.normals[k]
-    names = scene.cell.joint_names[len(scene.cell.arm) :]
-    turned = "".join(f", {n} {a:.0f} degrees" for n, a in zip(names, np.degrees(places.q[k]), strict=True))
+    cell = scene.cell
+    turned = "".join(
+        f", {cell.joint_names[j]} {f'{q * 1e3:.0f} mm' if j in cell.limits.sliding else f'{np.degrees(q):.0f} degrees'}"
+        for j, q in enumerate(places.q[k], len(cell.arm))
+    )
     return (
         f"part ({_numbers(p * 1e3, 1)}) mm, world ({_numbers(world * 1e3, 1)}) mm{turned}, "
         f"nozzle along ({_numbers(axis, 2)})"
