@@ -589,6 +589,14 @@ def test_no_place_within_reach() -> None:
     assert suggest_next(register(far, file, PART)) is None
 
 
+def test_a_part_too_thin_to_be_touched() -> None:
+    """Beside the nozzle's place its surface bends away at once."""
+    thin = scene("cylinder_logo", "part.cylinder.radius_mm=5", "layers.source.width_mm=15")
+    assert not len(thin.points)
+    with pytest.raises(InputError, match="can touch no place"):
+        plan_contacts(thin, PART, 6)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -202,7 +202,9 @@ def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -
 
     Joint limits are looked at; whether arm and head are clear there is for `Clearance` to say.
     """
-    local = np.array([frame_from_z(p, -normal) for p, normal in zip(points, normals, strict=True)]).reshape(-1, 4, 4)
+    if not len(points):
+        return TouchPlaces(points, normals, np.empty((0, len(cell.holder))), np.empty((0, 4, 4)))
+    local = np.array([frame_from_z(p, -normal) for p, normal in zip(points, normals, strict=True)])
     turned = (local[:, None] @ rolls()).reshape(-1, 4, 4)
     found: list[tuple[NDArray[np.intp], Array]] = []
     for q in _holder_angles(cell):
