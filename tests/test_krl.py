@@ -127,6 +127,13 @@ def test_angles_against_scipy() -> None:
     np.testing.assert_allclose(angles(random.as_matrix()), random.as_euler("ZYX"), atol=1e-9)
 
 
+@pytest.mark.parametrize("last_bit", [-1e-17, 1e-17])
+def test_half_a_turn_is_written_one_way(last_bit: float) -> None:
+    T = np.diag([1.0, -1.0, -1.0, 1.0])
+    T[2, 1] = T[1, 2] = last_bit
+    assert krl.frame(T).endswith(",A 0.000000,B 0.000000,C 180.000000")
+
+
 def test_names() -> None:
     assert krl_name("cylinder_logo") == "CylinderLogo"
     assert krl_name("loop") == "PrintLoop"

@@ -12,6 +12,7 @@ import numpy as np
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent
+from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
@@ -86,24 +87,12 @@ def turn(q: Array) -> Indices:
 
 def angles(R: Array) -> Array:
     """A B C (m, 3) [rad] of rotations (m, 3, 3); C is 0 where B is a right angle, and A and C are one."""
-    level = np.hypot(R[:, 0, 0], R[:, 1, 0])
-    upright = level < 1e-9
-    a = np.where(upright, np.arctan2(-R[:, 0, 1], R[:, 1, 1]), np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-    c = np.where(upright, 0.0, np.arctan2(R[:, 2, 1], R[:, 2, 2]))
-    return np.column_stack([a, np.arctan2(-R[:, 2, 0], level), c])
+    return fixed_xyz(R)[:, ::-1]
 
 
 def quaternions(abc: Array) -> Array:
     """Unit quaternions (m, 4) x y z w of A B C (m, 3) [rad]."""
-    (ca, cb, cc), (sa, sb, sc) = np.cos(0.5 * abc).T, np.sin(0.5 * abc).T
-    return np.column_stack(
-        [
-            ca * cb * sc - sa * sb * cc,
-            ca * sb * cc + sa * cb * sc,
-            sa * cb * cc - ca * sb * sc,
-            ca * cb * cc + sa * sb * sc,
-        ]
-    )
+    return from_fixed_xyz(abc[:, ::-1])
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -129,7 +118,7 @@ def krl_name(name: str) -> str:
 
 def frame(T: Array) -> str:
     """Components of a FRAME (mm, degrees) of a pose (4, 4)."""
-    values = [*(T[:3, 3] * 1e3), *np.degrees(angles(T[None, :3, :3])[0])]
+    values = [*(T[:3, 3] * 1e3), *written(angles(T[None, :3, :3])[0], FRAME_DEGREES)]
     decimals = [MM] * 3 + [FRAME_DEGREES] * 3
     return ",".join(f"{name} {number(v, d)}" for name, v, d in zip("XYZABC", values, decimals, strict=True))
 
@@ -322,8 +311,7 @@ def _targets(plan: Plan, moves: Moves) -> list[str]:
 
 def _frames(position: Array, quat: Array) -> Array:
     """X Y Z A B C (m, 6) as they are written [mm, deg]."""
-    abc = np.degrees(angles(to_matrix(quat)))
-    return np.column_stack([np.round(position * 1e3, MM) + 0.0, np.round(abc, DEGREES) + 0.0])
+    return np.column_stack([np.round(position * 1e3, MM) + 0.0, written(angles(to_matrix(quat)), DEGREES)])
 
 
 def _subprograms(plan: Plan, moves: Moves) -> Iterator[Subprogram]:
@@ -667,9 +655,9 @@ def program(plan: Plan, files: Mapping[str, str]) -> RobotProgram:
 
 def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
-    source, written = _read(plan, files)
+    source, motion = _read(plan, files)
     moves = moves_with_arcs(plan)
-    return [*played_differences(plan, moves, written), *blend_differences(plan, written), *_moves(plan, moves, source)]
+    return [*played_differences(plan, moves, motion), *blend_differences(plan, motion), *_moves(plan, moves, source)]
 
 
 def _read(plan: Plan, files: Mapping[str, str]) -> tuple[KrlProgram, RobotProgram]:
