@@ -112,6 +112,13 @@ def test_a_rapid_program_says_what_is_asked() -> None:
     assert len(slow) == 4, "joints 1 and 2, there and back, at half of 200 degrees a second"
 
 
+def test_a_second_arm_that_stands_still_is_no_unit() -> None:
+    held = ("cell.positioner.free=[]",)
+    asked, (_, cell) = asked_of("fibre_plane", "rapid", overrides=held), cell_of("fibre_plane", *held)
+    (text,) = program_files(cell, asked, "").values()
+    assert "MoveAbsJ" in text and "ActUnit" not in text and "DeactUnit" not in text
+
+
 def test_a_krl_program_says_what_is_asked_as_kuka_counts() -> None:
     asked, (_, cell) = asked_of("peer_cap", "krl"), cell_of("peer_cap")
     (text,) = program_files(cell, asked, "").values()

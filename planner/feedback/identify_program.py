@@ -305,7 +305,7 @@ def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
     q, limits = asked.postures, cell.limits
     own = np.degrees(q * asked.counted.signs + asked.counted.offsets)[:, cell.own]
     external = external_text(external_written(cell, q[:, cell.besides]))
-    unit = [] if cell.holder_robot is None else [station]
+    unit = [] if cell.station is None else [station]
     lines = [
         f"MODULE {name}",
         *(comment(text) for text in _about(asked)),
