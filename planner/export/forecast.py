@@ -12,6 +12,7 @@ import numpy as np
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.nearest import distance_to_polyline
 from planner.export.controllers import ControllerLimits
+from planner.export.moves import fed_spans
 from planner.export.player.executed import executed_run
 from planner.export.player.path import MOST_TICKS
 from planner.export.player.play import play
@@ -167,8 +168,7 @@ def _off(
     lines = played.at(when).position
     paths = [lines[_within(when, on, off)] for on, off in spans]
     if planned is not None:
-        ends = np.flatnonzero(np.diff(np.concatenate([[False], planned.deposit, [False]]).astype(np.int8)))
-        paths = [planned.tip[first:end] for first, end in ends.reshape(-1, 2)]
+        paths = [planned.tip[a : b + 1] for a, b in zip(*fed_spans(planned), strict=True)]
     worst = 0.0
     for (on, off), path in zip(spans, paths, strict=False):
         executed = tip[_within(run.t, on - BESIDE, off + BESIDE)]
