@@ -17,6 +17,7 @@ from benchmarks.recordings import Recording, executed_run, write_recording
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, OutputError
 from planner.cell.robot import read_robot
 from planner.export.controllers import CONTROLLERS
+from planner.export.krl import to_kuka
 from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
@@ -358,6 +359,18 @@ def test_a_path_of_samples_has_no_corners():
     path = path_of_samples(plan.q, plan.cell)
     found = findings(path, follow(path, t[200:], q[200:], plan.cell))
     assert found.corners == () and found.laid is None and not found.ahead.told
+
+
+def test_joints_as_kuka_counts_are_read_beside_samples(tmp_path: Path):
+    def as_kuka(t: Array, q: Array) -> tuple[Array, Array]:
+        q[:, own] = to_kuka(q[:, own])
+        return t, q
+
+    plan, _, _ = planned()
+    own, cell = plan.cell.own, replace(plan.cell, arm_robot=replace(plan.cell.arm_robot, language="krl"))
+    run = PlannedRun(path_of_samples(plan.q, cell), cell, "", "trajectory.csv")
+    log = read_log(written(tmp_path, as_kuka), cell)
+    assert "joints are counted as the controller does" in recorded_run(log, run, cell).remarks
 
 
 # ---- what forecasts use -------------------------------------------------------------------------------------------

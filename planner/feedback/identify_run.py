@@ -155,7 +155,7 @@ def _samples(file: Path, cell: Cell) -> Array:
 def recorded_run(log: RobotLog, run: PlannedRun, cell: Cell) -> RecordedRun:
     """Find the run in a recording. Raises InputError with what was found where it is another program's, in other units,
     with gaps, or not whole."""
-    counted = counting(cell, run.language)
+    counted = counting(cell, run.language or cell.arm_robot.language)
     starts = run_starts(log, run.cell, counted, run.path.q[0], partial(_counted, run=run, cell=cell))
     if not starts:
         plain = next(readings(log, cell.limits.sliding, counted))
