@@ -397,6 +397,16 @@ def test_what_a_controller_does_is_written_and_forecasts_use_it(tmp_path: Path):
         write_controller(arm, found, [], source, tmp_path / "mine")
 
 
+def test_nothing_is_left_of_a_controller_that_no_robot_may_have(tmp_path: Path):
+    plan, _, _ = planned()
+    found = findings(*run_of(ZIGZAG, replace(ABB, lag=0.03), speed=0.1, zone=ZONES))
+    late = replace(found, lag=replace(found.lag, value=0.4))
+    (tmp_path / "run.csv").write_text("t_s\n")
+    with pytest.raises(InputError, match="lag_ms"):
+        write_controller(robots_of(plan.problem, plan.cell)[0], late, [], tmp_path / "run.csv", tmp_path / "mine")
+    assert not any((tmp_path / "mine").iterdir())
+
+
 @pytest.mark.slow
 def test_a_measured_lag_is_in_the_forecast(tmp_path: Path):
     plan, _, _ = planned()

@@ -19,6 +19,7 @@ from planner.cell.cell import build_cell
 from planner.cell.kinematics.inverse import track
 from planner.problem import load_problem, shipped_problems
 from planner.problem.rewrite import write_changed
+from planner.register import command
 from planner.register.command import main
 from planner.register.contacts import locate, plate_poses, read_readings, settled
 from planner.register.finding import Ask, plan_contacts, register, scene_of, suggest_next
@@ -545,6 +546,17 @@ def test_the_command_tells_when_the_tolerance_may_be_left(tmp_path: Path, monkey
     np.testing.assert_allclose(written.cell.positioner.part[:2], [1e-3, 1e-3], atol=0.5e-3)
     assert written.cell.positioner.part_rpy == here.problem.cell.positioner.part_rpy
     assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_nothing_is_left_of_a_problem_that_is_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    points, q = np.array([[65.4, 37.0, 50.0]]) * 1e-3, np.radians([[0.0], [40.0], [80.0]])
+    here = scene("cylinder_logo")
+    tips = tips_of(here, here.start, points.repeat(3, axis=0), np.zeros(3), q)
+    file = write_contacts(tmp_path / "c.csv", cartesian(here, tips, q))
+    monkeypatch.setattr(command, "changes_of", lambda *_: {"part": {}})
+    target = tmp_path / "new.yaml"
+    assert main([str(file), "cylinder_logo", "--free", "x", "--out", str(target)]) == EXIT_INPUT
+    assert not target.exists()
 
 
 @pytest.mark.slow

@@ -152,9 +152,12 @@ def write_controller(
         folder.mkdir(parents=True, exist_ok=True)
         with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
             stream.write("\n".join(lines) + "\n" + with_values(text, changes))
-        read_robot(target)
+        read_robot(target)  # which tells what no robot may have
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror}") from error
+    except InputError:
+        target.unlink()
+        raise
     return target
 
 

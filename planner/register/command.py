@@ -9,16 +9,16 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
 from planner.base.command_line import Command, exit_code
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.planning.options import add_problem
-from planner.problem import load_problem
+from planner.problem import Problem, load_problem
 from planner.problem.clouds import CLOUD_UNITS
-from planner.problem.rewrite import write_changed
+from planner.problem.rewrite import Value, write_changed
 from planner.register.finding import (
     Ask,
     Scene,
@@ -66,10 +66,9 @@ def _run(options: argparse.Namespace) -> int:
     )
     fit = found.fit
     changes = changes_of(problem, fit.placement, scene.start, freedoms_of(problem, ask))
-    write_changed(problem, changes, target)
-    load_problem(target)  # which tells what no problem may have, such as a part that is nowhere
     lines = lines_of(found, changes, None if scan else suggest_next(found))
     good, sentence = verdict(found, options.tolerance)
+    _write(problem, changes, target)
     print("\n".join([*lines, sentence, f"written to {target}"]))
     if options.report is not None:
         write_picture(found, options.tolerance, sentence, lines, options.report)
@@ -80,10 +79,19 @@ def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
     """Place table and cylinder by the published equation."""
     found = as_published(scene, options.contacts)
     changes = changes_of(scene.problem, found.placement, scene.start, ("x", "y"))
-    write_changed(scene.problem, changes, target)
-    load_problem(target)
+    _write(scene.problem, changes, target)
     print("\n".join([*published_lines(found, changes), f"written to {target}"]))
     return EXIT_VERIFIED if found.off <= options.tolerance else EXIT_NOT_VERIFIED
+
+
+def _write(problem: Problem, changes: Mapping[str, Value], target: Path) -> None:
+    """Write the new problem, unless it is what no problem may be, such as one with a part that is nowhere."""
+    write_changed(problem, changes, target)
+    try:
+        load_problem(target)
+    except InputError:
+        target.unlink()
+        raise
 
 
 def _suggest(options: argparse.Namespace) -> int:
