@@ -344,6 +344,7 @@ def test_the_verifier_reads_the_map_alike_with_other_code(tmp_path: Path) -> Non
         far = bead.points + 0.02 * np.cross(bead.normals, [0.0, 0.0, 1.0])  # beside the map
         for places in (bead.points[::7], far[::7]):
             top = ScannedTop(field.points, field.normals, field.deviation, np.ones(len(field.points), dtype=bool))
+            assert top.tree is top.tree  # built once, and searched many times
             ours = field.at(places, bead.normals[::7])
             assert np.abs(deviations(top, places, bead.normals[::7], spec.smoothing) - ours).max() < 1e-9
 

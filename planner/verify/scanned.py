@@ -7,8 +7,9 @@ covariances in the tangent plane; how high the nozzle is over the print comes fr
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ class ScannedTop:
         way = self.points[node] - foot[of]
         return of, node, way - np.einsum("ij,ij->i", way, normals[of])[:, None] * normals[of]
 
-    @property
+    @cached_property
     def tree(self) -> KDTree:
         """To search nodes in."""
         return KDTree(self.points)
@@ -85,16 +86,15 @@ def _read(path: Path, changed: int, size: int) -> ScannedTop:
 def deviations(top: ScannedTop, places: Array, normals: Array, radius: float) -> Array:
     """The map's smoothed deviation (k) [m] beneath places (k, 3) with unit normals (k, 3)."""
     out = np.empty(len(places))
-    tree = top.tree
     for first in range(0, len(places), _TOGETHER):
         rows = slice(first, first + _TOGETHER)
-        out[rows] = _deviations(top, tree, places[rows], normals[rows], radius)
+        out[rows] = _deviations(top, places[rows], normals[rows], radius)
     return out
 
 
-def _deviations(top: ScannedTop, tree: KDTree, places: Array, normals: Array, radius: float) -> Array:
-    foot = _feet(top, tree, places, normals)
-    distance, nearest = tree.query(foot)
+def _deviations(top: ScannedTop, places: Array, normals: Array, radius: float) -> Array:
+    foot = _feet(top, places, normals)
+    distance, nearest = top.tree.query(foot)
     out = distance > _EDGE * radius
     share = np.ones(len(foot))
     share[out] = _EDGE * radius / distance[out]
@@ -121,11 +121,11 @@ def _deviations(top: ScannedTop, tree: KDTree, places: Array, normals: Array, ra
     return np.where(alone, top.deviation[nearest], mean_d - np.einsum("ki,ki->k", slope, mean_way))
 
 
-def _feet(top: ScannedTop, tree: KDTree, places: Array, normals: Array) -> Array:
+def _feet(top: ScannedTop, places: Array, normals: Array) -> Array:
     """Where places (k, 3) stand over the map, down along their normals."""
     foot = places
     for _ in range(2):
-        node = tree.query(foot)[1]
+        node = top.tree.query(foot)[1]
         foot = places - np.einsum("ij,ij->i", places - top.points[node], normals)[:, None] * normals
     return foot
 
@@ -144,11 +144,10 @@ def over_print(top: ScannedTop, tips: Array, normals: Array, radius: float) -> A
     where there are too few."""
     known = ScannedTop(*(values[top.measured] for values in (top.points, top.normals, top.deviation, top.measured)))
     out = np.full(len(tips), np.nan)
-    tree = known.tree
     for first in range(0, len(tips), _TOGETHER):
         rows = slice(first, first + _TOGETHER)
         n = normals[rows]
-        foot = _feet(known, tree, tips[rows], n)
+        foot = _feet(known, tips[rows], n)
         of, node, way = known.around(foot, n, _NEAR * radius)
         real = known.points[node] + known.deviation[node, None] * known.normals[node]
         high = np.einsum("ij,ij->i", tips[rows][of] - real, n[of])
@@ -180,12 +179,19 @@ def _levels(of: Ints, way: Array, high: Array, k: int, radius: float) -> Array:
 
 def normals_along(toolpath: Toolpath, t: Trajectory, at: Ints) -> Array:
     """Unit normals (k, 3) of the beads at samples (k) of a trajectory that lie on beads."""
-    out = np.empty((len(at), 3))
-    for i in np.unique(t.bead[at]):
-        own, bead = t.bead[at] == i, toolpath.beads[i]
+    out, s = np.empty((len(at), 3)), t.s[at]
+    for i, own in _by_bead(t, at):
+        bead = toolpath.beads[i]
         for k in range(3):
-            out[own, k] = np.interp(t.s[at][own], bead.s, bead.normals[:, k])
+            out[own, k] = np.interp(s[own], bead.s, bead.normals[:, k])
     return out / np.linalg.norm(out, axis=1)[:, None]
+
+
+def _by_bead(t: Trajectory, at: Ints) -> Iterator[tuple[int, Ints]]:
+    """Each bead of some samples (k), and where its own stand among them, in their order."""
+    order = np.argsort(t.bead[at], kind="stable")
+    beads, first = np.unique(t.bead[at][order], return_index=True)
+    return zip(beads.tolist(), np.split(order, first)[1:], strict=True)
 
 
 def asked_height(spec: AsPrintedSpec, bead: Bead, drawn: float) -> tuple[Ints, Array]:
@@ -209,12 +215,14 @@ def drawn_tips(spec: AsPrintedSpec, toolpath: Toolpath, t: Trajectory, motion: E
     if len(away):
         off = deviations(top, motion.tip[away], -motion.axis[away], spec.smoothing)
         out[away] += still_off(off, spec.most, layers[away])[:, None] * motion.axis[away]
-    for i in np.unique(t.bead[t.deposit]):
-        at = np.flatnonzero(t.deposit & (t.bead == i))
-        step = np.floor(t.s[at] / _APART)
-        few = at[np.unique(np.append(np.flatnonzero(np.diff(step, prepend=-1.0) != 0.0), len(at) - 1))]
-        asked = few[np.unique(t.s[few], return_index=True)[1]]
-        found = deviations(top, motion.tip[asked], normals_along(toolpath, t, asked), spec.smoothing)
-        off = np.interp(t.s[at], t.s[asked], found) if len(asked) < 4 else CubicSpline(t.s[asked], found)(t.s[at])
-        out[at] -= still_off(off, spec.most, layers[at])[:, None] * normals_along(toolpath, t, at)
+    laid = np.flatnonzero(t.deposit)
+    for _, own in _by_bead(t, laid):
+        at = laid[own]
+        s, normals = t.s[at], normals_along(toolpath, t, at)
+        step = np.floor(s / _APART)
+        few = np.unique(np.append(np.flatnonzero(np.diff(step, prepend=-1.0) != 0.0), len(at) - 1))
+        asked = few[np.unique(s[few], return_index=True)[1]]
+        found = deviations(top, motion.tip[at[asked]], normals[asked], spec.smoothing)
+        off = np.interp(s, s[asked], found) if len(asked) < 4 else CubicSpline(s[asked], found)(s)
+        out[at] -= still_off(off, spec.most, layers[at])[:, None] * normals
     return out
