@@ -20,7 +20,7 @@ from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-from planner.verify.checks import EVERYWHERE, Findings, Judged, check_most
+from planner.verify.checks import EVERYWHERE, Findings, Judged, check_most, samples_of
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond
@@ -95,9 +95,10 @@ def learned_shifts(path: Path, t: Trajectory) -> Array:
             table = np.loadtxt(lines, delimiter=",", usecols=columns, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError("is no file of corrections", file=path, hint="beadwise learn writes them") from error
-    out = np.zeros((len(t), 3))
-    for bead in np.unique(t.bead[t.deposit]):
-        rows, own = table[table[:, 0] == bead], t.deposit & (t.bead == bead)
+    out, table = np.zeros((len(t), 3)), table[np.argsort(table[:, 0], kind="stable")]
+    for bead, samples in enumerate(samples_of(t, int(t.bead.max(initial=-1)) + 1)):
+        own = samples[t.deposit[samples]]
+        rows = table[slice(*(np.searchsorted(table[:, 0], bead, side) for side in ("left", "right")))]
         if len(rows):
             k = np.clip(np.searchsorted(rows[:, 1], t.s[own] * 1e3), 1, max(len(rows) - 1, 1))
             a, b = rows[k - 1], rows[np.minimum(k, len(rows) - 1)]

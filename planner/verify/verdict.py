@@ -344,9 +344,7 @@ def _singularity(judged: Judged) -> Findings:
         if away := straight_at(cell):
             fifth = fifth - away
         sides.append(np.sign(np.sin(fifth)))
-        series["wrist_deg"] = np.degrees(np.abs(np.arcsin(np.sin(fifth))))
-        if cell.spherical:
-            series["wrist_deg"] = np.degrees(np.abs(fifth))
+        series["wrist_deg"] = np.degrees(np.abs(fifth if cell.spherical else np.arcsin(np.sin(fifth))))
         metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
     margin = check_least(t, "singularity margin", sigma, judged.problem.resolve.min_sigma, "")

@@ -335,19 +335,18 @@ def _obstacles(judged: Judged, places: Places) -> Check:
         away, at = cKDTree(body.tree.points[part]).query(some.tip[lowest])
         spread = np.sqrt((body.tree.radius[part][at] + CLEARANCE) ** 2 - CLEARANCE**2)
         bare = away - height[lowest] - spread
-        on_turns = _on_turns(judged, some, height, np.flatnonzero(lowest)[bare > _STRAY])
+        on_turns = _on_turns(judged, some, height, np.flatnonzero(lowest)[bare > _STRAY], number)
         bare[np.flatnonzero(bare > _STRAY)[on_turns]] = 0.0
         off[lowest] = np.maximum(off[lowest], bare)
     return worst_of(judged, some, "obstacles where the print is", np.maximum(off, 0.0) * 1e3, _STRAY * 1e3, "mm")
 
 
-def _on_turns(judged: Judged, places: Places, height: Array, which: Ints) -> NDArray[np.bool_]:
+def _on_turns(judged: Judged, places: Places, height: Array, which: Ints, number: Ints) -> NDArray[np.bool_]:
     """Whether some places (n) of the lowest layer lie, half to one and a half of their bead's height above it, on what is kept
-    clear of there by then: an earlier bead of that layer, or the same one a few widths before, as in a spiral."""
+    clear of there by then: an earlier bead of that layer, or the same one a few widths before, as in a spiral. number: the
+    bead of each point of the body."""
     beads, body, s = judged.toolpath.beads, judged.body, judged.trajectory.s
     layer = min(bead.layer for bead in beads)
-    thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
-    number = np.array([_bead_of(name) for name in body.names])[thing]
     own = np.flatnonzero(np.isin(number, [i for i, bead in enumerate(beads) if bead.layer == layer]))
     balls, out = cKDTree(body.tree.points[own]), np.zeros(len(which), dtype=bool)
     for k, i in enumerate(which):
