@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from benchmarks.in_step import CASES, Case, apart, for_board, worst
 from planner.base.errors import EXIT_INPUT, InputError
 from planner.export.extruder import FILE, differences, gcode
-from planner.export.in_step import SEEN, stretches
-from planner.plan import Plan
+from planner.export.in_step import READY, SEEN, SHARE, early, stretches
+from planner.export.moves import passed
+from planner.plan import Event, Plan
 from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.settings import BoardSpec
@@ -36,6 +37,24 @@ def spoilt(plan: Plan, text: str) -> list[str]:
 
 def commands(text: str) -> list[str]:
     return [line for line in text.splitlines() if not line.startswith(";")]
+
+
+@given(st.lists(st.tuples(st.floats(-1.0, 12.0), st.floats(0.01, 3.0), st.floats(-5.0, 5.0)), max_size=20))
+def test_what_events_move_comes_evenly_in_their_time(rows: list[tuple[float, float, float]]) -> None:
+    """As a ramp over all samples for each of them."""
+    t = 0.1 * np.arange(101)
+    events = [Event("prime", -1, start, duration, amount) for start, duration, amount in rows]
+    plain = np.zeros(101)
+    for each in events:
+        plain += each.amount * np.clip((t - each.start) / each.duration, 0.0, 1.0)
+    np.testing.assert_allclose(passed(t, events, [each.amount for each in events]), plain, atol=1e-9)
+
+
+def test_a_prime_comes_early_by_what_is_free_before_it() -> None:
+    ends = [1.0, 4.0, 9.0]
+    assert early(ends, 6.0, 2.0) == READY + 2.0 * SHARE  # since the event that ended at 4 s
+    assert early(ends, 6.0, 5.0) == READY + 1.0 * SHARE
+    assert early(ends, 9.0, 5.0) == 0.0 == early([], 5.0, 5.0)
 
 
 def test_the_board_waits_for_both_ends_of_each_bead() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -15,7 +16,7 @@ from planner.base.errors import InputError
 from planner.base.gcode_lines import PAUSE, commands_in, time_of
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
-from planner.export.in_step import NEAR, Stretch, early, fed_within, laid_filament, stretches
+from planner.export.in_step import NEAR, Stretch, early, fed_within, home_ends, laid_filament, stretches
 from planner.plan.plan import SELECTS as SELECTING
 from planner.plan.plan import materials_of, used
 
@@ -267,12 +268,13 @@ def _enough(parts: Sequence[Part], least: int) -> list[Part]:
     run: list[Part] = []
     for part in parts:
         if run and (part.kind == ORDER or part.start - run[-1].end > 0.5e-3):
-            found, run = [*found, *_divided(run, least)], []
+            found += _divided(run, least)
+            run = []
         if part.kind == ORDER:
             found.append(part)
         else:
             run.append(part)
-    return [*found, *_divided(run, least)]
+    return found + _divided(run, least)
 
 
 def _divided(run: Sequence[Part], least: int) -> list[Part]:
@@ -333,6 +335,7 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
     board, dt = plan.problem.program.board, plan.trajectory.dt
     waiting: list[Part] = []
     lines: list[str] = []
+    ends = home_ends(plan.trajectory)
     now, taken = 0.0, 0
     for stretch in found:
         while taken < len(parts) and parts[taken].start < stretch.off + NEAR:
@@ -342,7 +345,7 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
         later = [part for part in waiting if not _is_before(part, stretch, dt)]
         within = [part for part in later if _is_within(part, stretch, dt)]
         waiting = [part for part in later if not _is_within(part, stretch, dt)]
-        said, _ = _said(board, [_earlier(plan, part, now) for part in before], now)
+        said, _ = _said(board, [_earlier(plan, part, now, ends) for part in before], now)
         lines += [*said, wait_for(board.firmware, stretch.number, True)]
         said, now = _within(plan, within, stretch)
         lines += [*said, wait_for(board.firmware, stretch.number, False)]
@@ -359,11 +362,11 @@ def _is_within(part: Part, stretch: Stretch, dt: float) -> bool:
     return part.start < stretch.off + NEAR if part.kind == "" else part.start < stretch.off - 1.5 * dt
 
 
-def _earlier(plan: Plan, part: Part, since: float) -> Part:
+def _earlier(plan: Plan, part: Part, since: float, ends: Sequence[float]) -> Part:
     """A prime, or the fan, a little earlier: the board is to be ready when the robot comes."""
     if part.kind != "prime" and not any(_is_fan(plan, line) for line in part.lines):
         return part
-    by = early(plan.trajectory, part.start, since)
+    by = early(ends, part.start, since)
     return part._replace(start=part.start - by, end=part.end - by)
 
 
@@ -644,7 +647,8 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
-    planned_orders = [(due - _sooner(plan, due, line, signals), line) for due, line in _planned_orders(plan)]
+    ends = home_ends(t)
+    planned_orders = [(due - _sooner(plan, due, line, signals, ends), line) for due, line in _planned_orders(plan)]
     found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
     if written.begin != FIRMWARES[board.firmware].begin:
         found.append("it does not begin as the board's firmware asks for")
@@ -670,11 +674,12 @@ def _fed_otherwise(plan: Plan, planned: Sequence[Stretch], fed: Sequence[tuple[f
     around += NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
     off = _beyond(clock, feed, at, total, around, around)
     primes = [event for event in t.events if event.kind == "prime"] if planned else []
+    offs, ends = [0.0, *(each.off for each in planned)], home_ends(t)
     for event in primes:
         start = event.start - float(t.t[0])
-        gone = [each.off for each in planned if each.off <= start]
-        sooner = early(t, start, gone[-1] if gone else 0.0)
-        near = (at >= start - sooner - around) & (at <= start + event.duration)
+        sooner = early(ends, start, offs[bisect_right(offs, start, 1) - 1])
+        since, until = start - sooner - around, start + event.duration
+        near = slice(np.searchsorted(at, since, "left"), np.searchsorted(at, until, "right"))
         off[near] = _beyond(clock, feed, at[near], total[near], around, around + sooner)
     worst = int(np.argmax(off))
     if off[worst] <= AMOUNT:
@@ -695,12 +700,12 @@ def _planned_orders(plan: Plan) -> list[tuple[float, str]]:
     return [(due, line) for order in orders(plan) for due, line in order.due if line.startswith("M")]
 
 
-def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float]) -> float:
+def _sooner(plan: Plan, due: float, line: str, signals: Sequence[float], ends: Sequence[float]) -> float:
     """By how much [s] the fan is switched earlier, so that the board is ready when the robot comes."""
     if not _is_fan(plan, line) or not signals or due > signals[-1]:
         return 0.0
     k = int(np.searchsorted(signals, due, side="right"))
-    return early(plan.trajectory, due, signals[k - 1] if k else 0.0) if k % 2 == 0 else 0.0
+    return early(ends, due, signals[k - 1] if k else 0.0) if k % 2 == 0 else 0.0
 
 
 def _out_of_step(plan: Plan, planned: Sequence[Stretch], steps: Sequence[BoardStep]) -> list[str]:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.export.moves import fed_spans
+from planner.export.moves import fed_spans, passed
 from planner.export.support import by_bead
 from planner.plan.plan import materials_of
 
@@ -52,21 +54,26 @@ def stretches(plan: Plan) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
-def early(t: Trajectory, at: float, since: float) -> float:
-    """By how much [s] what is due `at` a time before a bead comes earlier; the output went off at time `since`."""
+def home_ends(t: Trajectory) -> list[float]:
+    """When [s after the trajectory's start] the events end that a prime does not move before, in order."""
     begin = float(t.t[0])
-    ends = [event.start + event.duration - begin for event in t.events if event.kind in HOME]
-    free = max([since, *(end for end in ends if end <= at)])
+    return sorted(event.start + event.duration - begin for event in t.events if event.kind in HOME)
+
+
+def early(ends: Sequence[float], at: float, since: float) -> float:
+    """By how much [s] what is due `at` a time before a bead comes earlier; the output went off at time `since`.
+
+    ends: as `home_ends` has them
+    """
+    gone = bisect_right(ends, at)
+    free = max([since, *ends[gone - 1 : gone]])
     return min(READY + SHARE * (at - free), at - free)
 
 
 def laid_filament(trajectory: Trajectory) -> Array:
     """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
-    fed: Array = trajectory.feed - trajectory.feed[0]
-    for event in trajectory.events:
-        if event.amount != 0.0:
-            fed = fed - event.amount * np.clip((trajectory.t - event.start) / event.duration, 0.0, 1.0)
-    return fed
+    moving = [event for event in trajectory.events if event.amount != 0.0]
+    return trajectory.feed - trajectory.feed[0] - passed(trajectory.t, moving, [event.amount for event in moving])
 
 
 def fed_within(plan: Plan, found: tuple[Stretch, ...]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -92,7 +92,6 @@ def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
     fine, found = _between_beads(trajectory, first, last)
     waits: dict[int, tuple[Wait, ...]] = {}
     inside = np.zeros(len(trajectory), dtype=bool)
-    clock = trajectory.t - trajectory.t[0]
     for at, a, b in found:
         own = [Wait(event.words, event.duration) for event in rested_for(trajectory, a, b)]
         spare = (b - a) * trajectory.dt - sum(wait.time for wait in own)
@@ -102,19 +101,34 @@ def rests_of(trajectory: Trajectory, first: Indices, last: Indices) -> Rests:
             fine[[at, a]] = False, True
             waits[a] = tuple(own)
             inside[a + 1 : b + 1] = True
-            clock[a + 1 :] -= np.minimum(np.arange(1, len(clock) - a), b - a) * trajectory.dt
+    clock = trajectory.t - trajectory.t[0] - np.cumsum(inside) * trajectory.dt - rested_in_beads(trajectory)
     for event in cuts(trajectory):
         a, b = samples_of_rest(trajectory, event)
         fine[a] = True
         waits[a] = (Wait(event.words, event.duration),)
         inside[a + 1 : b + 1] = True
-        clock -= np.clip(trajectory.t - event.start, 0.0, event.duration)
     return Rests(fine, waits, inside, clock)
 
 
 def cuts(trajectory: Trajectory) -> list[Event]:
     """The events for which the nozzle rests on a bead."""
     return [event for event in trajectory.events if event.kind == "cut"]
+
+
+def passed(t: Array, events: Sequence[Event], amounts: Sequence[float]) -> Array:
+    """How much (n) of some events' amounts has come until increasing times (n) [s], that of each evenly in its time."""
+    out, whole = np.zeros(len(t)), np.zeros(len(t) + 1)
+    for event, amount in zip(events, amounts, strict=True):
+        a, b = np.searchsorted(t, [event.start, event.start + event.duration])
+        out[a:b] += amount * ((t[a:b] - event.start) / event.duration)
+        whole[b] += amount
+    return out + np.cumsum(whole[:-1])
+
+
+def rested_in_beads(trajectory: Trajectory) -> Array:
+    """For how long (n) [s] the nozzle has rested within beads until each sample."""
+    found = cuts(trajectory)
+    return passed(trajectory.t, found, [event.duration for event in found])
 
 
 def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:

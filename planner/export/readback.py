@@ -22,6 +22,7 @@ from planner.export.moves import (
     fed_spans,
     nearest_fraction,
     rested_for,
+    rested_in_beads,
     samples_of_rest,
 )
 from planner.export.player.path import corner_depth
@@ -71,10 +72,7 @@ def waits_differ(plan: Plan, program: RobotProgram) -> float:
 
 def moving_time(t: Trajectory) -> Array:
     """Time (n) [s] of every sample without the rests within beads."""
-    clock = t.t - t.t[0]
-    for event in cuts(t):
-        clock -= np.clip(t.t - event.start, 0.0, event.duration)
-    return clock
+    return t.t - t.t[0] - rested_in_beads(t)
 
 
 def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]:
