@@ -91,8 +91,10 @@ def passed_corners(path: CommandedPath, followed: FollowedPath) -> list[PassedCo
             (corner - _at(path.tip, way, at[i] - reach)) / reach,
             (_at(path.tip, way, at[i] + reach) - corner) / reach,
         )
+        if np.linalg.norm(goes - comes) < TURN:
+            continue
         near = np.flatnonzero(np.abs(followed.way - at[i]) <= side)
-        if np.linalg.norm(goes - comes) < TURN or len(near) < LEAST_SAMPLES:
+        if len(near) < LEAST_SAMPLES:
             continue
         near = np.arange(near[0], near[-1] + 1)
         cut = _nearest(followed.tip[near], corner)
