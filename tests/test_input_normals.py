@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planner.base.errors import InputError
 from planner.planning.pipeline import load, solve
 from planner.toolpath.build import build_toolpath
 from planner.verify.checks import Findings
@@ -68,6 +69,9 @@ def test_a_motion_that_passes_no_waypoint_is_not_verified(tmp_path: Path) -> Non
     (kept,) = found(problem, tip + problem.layers.source.origin, axis).checks
     (check,) = found(problem, tip + problem.layers.source.origin + [0.0, 0.01, 0.0], axis).checks
     assert kept.ok and not check.ok and check.worst == 180.0
+    problem.layers.source.waypoints.unlink()
+    with pytest.raises(InputError, match="cannot be read again"):
+        found(problem, tip, axis)
 
 
 @pytest.mark.parametrize("other", [(0.0, 0.995, 0.1), (0.0, 0.995, -0.1), (0.0, 0.0, -1.0)])

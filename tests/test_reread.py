@@ -23,6 +23,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scanned_bed import dome, save
+from planner.base.errors import InputError
 from planner.collision.print_body import PrintBody, print_body
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import CurveSpec, PatternSpec
@@ -31,10 +32,12 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.nurbs import NurbsCurve
 from planner.toolpath.substrate.patterns import pattern
 from planner.verify.checks import Findings, Judged, asked_speeds
-from planner.verify.reread.part_surface import feet, level_of
+from planner.verify.reread.facets import facets_of
+from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
 from planner.verify.reread.plane_curves import _nurbs, read_again
 from planner.verify.reread.points import segments_of
 from planner.verify.reread.printed import as_the_problem_says
+from planner.verify.reread.scan import sheets_at
 
 Array = NDArray[np.float64]
 Spoil = Callable[[Bead], Bead | None]
@@ -403,3 +406,17 @@ def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:
         (tmp_path / "p.yaml").write_text(BASE + f"layers: {{source: {{waypoints: {name}}}}}\n")
         segments = segments_of(load_problem(tmp_path / "p.yaml").layers.source)  # type: ignore[arg-type, union-attr]
         assert np.allclose(segments.start, 1e-3 * rows[:-1]), name  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        facets_of,
+        lambda spec: distances_from_facets(spec, np.zeros((1, 3))),
+        lambda spec: sheets_at(spec, np.zeros((1, 2))),
+    ],
+    ids=["mesh", "mesh by distances", "scan"],
+)
+def test_a_body_that_is_gone_is_told(read: Callable[[Any], object], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"body\.stl: cannot be read again"):
+        read(SimpleNamespace(file=tmp_path / "body.stl"))

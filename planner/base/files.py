@@ -24,6 +24,15 @@ def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None =
     return data
 
 
+def stamp_of(path: Path) -> tuple[int, int]:
+    """When a file was changed [ns], and its size, which tell it from what stood there before; InputError where it is gone."""
+    try:
+        stamp = path.stat()
+    except OSError as error:
+        raise InputError("cannot be read again", file=path, hint="it was there when the print was planned") from error
+    return stamp.st_mtime_ns, stamp.st_size
+
+
 def read_lines(path: Path, largest: int, complain: Complaint) -> list[str]:
     """The lines of a text file as `read_bytes` reads it, commas taken as blanks; InputError where it is not UTF-8."""
     return [line.replace(",", " ") for line in read_text(path, largest, complain)]

@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, read_only
 from planner.base.errors import InputError
+from planner.base.files import stamp_of
 from planner.base.geometry import angles_between, arc_lengths
 from planner.plan import Check
 from planner.problem.layers import WaypointLayersSpec, WaypointsSpec
@@ -73,11 +74,11 @@ def file_normals(judged: Judged) -> Findings:
 
 
 def _as_the_file_says(spec: WaypointsSpec) -> tuple[Array, Array]:
-    """Points [m] and outward unit normals (n, 3) in the part frame, as they stand in the file."""
+    """Points [m] and outward unit normals (n, 3) in the part frame, as they stand in the file. Raises InputError where it
+    is gone."""
     given = spec.waypoints
     if isinstance(given, Path):
-        stamp = given.stat()
-        x, n = _read(given, spec.unit, stamp.st_mtime_ns, stamp.st_size)
+        x, n = _read(given, spec.unit, *stamp_of(given))
     else:
         x, n = given.points, given.normals
     x, n = _TO_SI[spec.unit] * x, n / np.linalg.norm(n, axis=1)[:, None]

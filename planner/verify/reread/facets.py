@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import InputError
+from planner.base.files import stamp_of
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import MeshSpec
 
@@ -132,9 +133,8 @@ def _area(a: Array, b: Array, c: Array) -> Array:
 
 
 def facets_of(spec: MeshSpec) -> Facets:
-    """The facets of a file in the part frame. Raises InputError and OSError for a file that cannot be read any more."""
-    stamp = spec.file.stat()
-    return _read(spec, stamp.st_mtime_ns, stamp.st_size)
+    """The facets of a file in the part frame. Raises InputError for a file that cannot be read any more."""
+    return _read(spec, *stamp_of(spec.file))
 
 
 @lru_cache(maxsize=3)

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.files import stamp_of
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import MeshSpec, PartSpec
 
@@ -113,9 +114,9 @@ def _unit(vectors: Array) -> Array:
 
 
 def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
-    """Distances (n) [m] of points (n, 3) from a file of facets, whichever side of them they lie on."""
-    stamp = spec.file.stat()
-    model = _facets(spec, stamp.st_mtime_ns, stamp.st_size)
+    """Distances (n) [m] of points (n, 3) from a file of facets, whichever side of them they lie on. Raises InputError
+    for a file that cannot be read any more."""
+    model = _facets(spec, *stamp_of(spec.file))
     dot, still, request, at = coal.Sphere(_CLOSE), coal.Transform3s(), coal.DistanceRequest(), coal.Transform3s()
     out = np.empty(len(points))
     for i, point in enumerate(points):

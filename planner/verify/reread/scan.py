@@ -16,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.files import stamp_of
 from planner.base.geometry import angles_between
 from planner.problem.clouds import read_scan
 from planner.problem.part import ScanSpec
@@ -40,9 +41,8 @@ class ScanSheets:
 
 
 def sheets_at(spec: ScanSpec, plane: Array) -> ScanSheets:
-    """The sheets of a scan at x, y (n, 2). Raises InputError and OSError for a file that cannot be read any more."""
-    stamp = spec.file.stat()
-    points, tree = _points(spec, stamp.st_mtime_ns, stamp.st_size)
+    """The sheets of a scan at x, y (n, 2). Raises InputError for a file that cannot be read any more."""
+    points, tree = _points(spec, *stamp_of(spec.file))
     away, near = tree.query(plane, k=_MOST)
     found = [_through(points[near[:, :count]], plane, away[:, count - 1], degree) for count, degree in _SHEETS]
     surest = found[0]
