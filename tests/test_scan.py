@@ -24,7 +24,15 @@ from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, height_map, planned_top
 from planner.feedback.scan_command import in_part_frame, main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
-from planner.feedback.scan_telling import bound_of, layer_heights, remains, table_of, write_map, write_problem
+from planner.feedback.scan_telling import (
+    bound_of,
+    drawn_name,
+    layer_heights,
+    remains,
+    table_of,
+    write_map,
+    write_problem,
+)
 from planner.plan import Check, Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -418,6 +426,15 @@ def test_what_is_told() -> None:
     assert table[1].split()[:2] == ["3", "0.350–0.650"] and "0.70–1.30" in table[1]
     assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
     assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
+
+
+def test_only_what_a_scan_has_added_is_taken_off_a_name(tmp_path: Path) -> None:
+    own, again = (
+        problem.model_copy(update={"name": "vase_after_anneal_after_2"})
+        for problem in (drawn()[0], corrected(tmp_path))
+    )
+    assert drawn_name(own) == own.name
+    assert drawn_name(again) == "vase_after_anneal"
 
 
 # ----------------------------------------------------------------------------------------------------

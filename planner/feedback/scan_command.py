@@ -26,6 +26,7 @@ from planner.feedback.scan_telling import (
     MAP,
     PICTURE,
     bound_of,
+    drawn_name,
     layer_heights,
     lines_of,
     remains,
@@ -73,7 +74,7 @@ def _run(options: argparse.Namespace) -> int:
     radius = options.smoothing or radius_of(plan.toolpath)
     found, fit = _measured(options, plan, radius)
     heights = layer_heights(plan.toolpath, layer)
-    name = plan.problem.name.partition("_after_")[0]
+    name = drawn_name(plan.problem)
     folder = options.out or Path("out") / f"{name}_scanned_{layer}"
     target = f"{name}_after_{layer}.yaml"
     with results_folder(folder, RESULTS_BY) as fresh:

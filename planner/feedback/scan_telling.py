@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,11 @@ def bound_of(toolpath: Toolpath, layer: int, share: float) -> float:
     return share * min(float(bead.height.min()) for bead in toolpath.beads if bead.layer >= layer)
 
 
+def drawn_name(problem: Problem) -> str:
+    """A problem's name without what an earlier scan has added, such as _after_4."""
+    return problem.name if problem.as_printed is None else re.sub(r"_after_[0-9]+$", "", problem.name)
+
+
 def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, folder: Path) -> str:
     """The text of the problem of what is still to be printed, for the folder that the map is in."""
     suffix = f"_after_{layer}"
@@ -63,7 +69,7 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
         "most_mm": most * 1e3,
         "smoothing_mm": found.radius * 1e3,
     }
-    name: dict[str, Value] = {"name": problem.name.partition("_after_")[0][: LONGEST_NAME - len(suffix)] + suffix}
+    name: dict[str, Value] = {"name": drawn_name(problem)[: LONGEST_NAME - len(suffix)] + suffix}
     if problem.as_printed is not None:
         return changed_text(problem, name | {f"as_printed.{key}": value for key, value in values.items()}, folder)
     lines = "".join(
