@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from planner.simulate.command import main
+from planner.simulate.command import main, simulate_command
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -78,6 +78,12 @@ def test_wrong_input_is_told(words: str, said: str, capsys) -> None:
 def test_a_robot_that_reaches_nobody_ends(capsys) -> None:
     assert main(["egm", "--start", "0,0,0,0,0,0", "--port", "0"]) == 0
     assert "nothing can be sent to 127.0.0.1:0" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("first", ["-10", "-.5"])
+def test_the_first_joint_may_be_negative(first: str) -> None:
+    options = simulate_command().parse_args(["egm", "--start", f"{first},20,30,0,-0.5,0"])
+    assert options.start == (float(first), 20.0, 30.0, 0.0, -0.5, 0.0)
 
 
 @pytest.mark.parametrize("words", ["board --port 70000", "board --pace 0", "egm", "egm --start 1,2", "egm --start nan"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import shutil
 import sys
 import textwrap
@@ -19,6 +20,9 @@ from planner.base.extras import missing_extra
 from planner.base.signals import ended_at_once
 from planner.base.signals import interrupted as was_interrupted
 
+NEGATIVE = re.compile(
+    r"-\.?[0-9]"
+)  # begins a value, also of a list such as -10,20, where parsers of Python 3.11 see an option
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
 CONTINUED = " \\"  # ends a line of a command that goes on in the next one
 HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns
@@ -105,6 +109,7 @@ class Command(argparse.ArgumentParser):
         epilog = "\n".join(["examples:", *shown, "", "exit codes:", *ends, *(f"\n{note}" for note in notes)])
         super().__init__(prog=prog, description=description, epilog=epilog, formatter_class=_Help)
         told = f"beadwise {version('beadwise')}"
+        self._negative_number_matcher = NEGATIVE
         self.add_argument("--version", action="version", version=told, help="tell the version, and stop")
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:

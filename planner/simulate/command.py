@@ -15,7 +15,7 @@ from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 
-from planner.base.command_line import Command, exit_code
+from planner.base.command_line import NEGATIVE, Command, exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.export.program import RobotProgram
@@ -76,6 +76,7 @@ def simulate_command() -> Command:
                 else ""
             ),
         )
+        one._negative_number_matcher = NEGATIVE
         to = "speak to" if kind == "egm" else "listen on"
         one.add_argument("--host", default=HOST, help=f"address to {to} (default {HOST}: this computer only)")
         one.add_argument("--port", type=_port, default=port, help=f"port to {to} (default {port})")
