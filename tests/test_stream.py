@@ -409,7 +409,7 @@ def test_the_command(tmp_path, capsys) -> None:
     assert f"bsPort:={port};" in made.read_text() and "finished after" in capsys.readouterr().err
     assert main([str(tmp_path), "--controller", f"{host}:{port}"]) == 2  # nobody is there any more
     assert "no connection to" in capsys.readouterr().err
-    for wrong in ("127.0.0.1:x", ":1", "127.0.0.1:0"):
+    for wrong in ("127.0.0.1:x", ":1", "127.0.0.1:0", "127.0.0.1:²"):
         assert main([str(tmp_path), "--controller", wrong]) == 2
     assert main([str(tmp_path), "--controller", "robot.local", "--server", str(made)]) == 2
     other = tmp_path / "notes.txt"

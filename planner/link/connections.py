@@ -54,6 +54,14 @@ def parse_address(text: str, port: int) -> Address:
     return Address(found[1], chosen)
 
 
+def given_address(text: str, port: int, option: str) -> Address:
+    """The address that an option gives; InputError for what is none."""
+    try:
+        return parse_address(text, port)
+    except ValueError as error:
+        raise InputError(str(error), field=option) from None
+
+
 def connect(address: Address, what: str, patience: float = 0.0) -> socket.socket:
     """A connection that notices within seconds when the other end is gone.
 

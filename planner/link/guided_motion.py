@@ -18,7 +18,7 @@ from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
 from planner.link.as_written import PLAN, add_edited, read_json, table_as_written, within_limits
-from planner.link.connections import Address, parse_address
+from planner.link.connections import given_address
 from planner.link.egm_wire import ARM_AXES, EgmState, EgmWire, egm_messages, egm_wire
 from planner.link.feed import BoardFeed, Feed, FeedStopped, feeding
 
@@ -358,18 +358,11 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         if options.head is None:
             follow(plan, wire, say)
         else:
-            with feeding(_head(options.head)) as board:
+            with feeding(given_address(options.head, BOARD_PORT, "--head")) as board:
                 follow(plan, wire, say, board, options.tool)
                 board.finish()
     say("finished")
     return EXIT_VERIFIED
-
-
-def _head(text: str) -> Address:
-    try:
-        return parse_address(text, BOARD_PORT)
-    except ValueError as error:
-        raise InputError(str(error), field="--head") from None
 
 
 def follow(

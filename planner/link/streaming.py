@@ -27,7 +27,7 @@ from planner.base.gcode_lines import commands_in
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 from planner.link.as_written import add_edited, program_as_written
-from planner.link.connections import Address, parse_address, part
+from planner.link.connections import given_address, part
 from planner.link.feed import BoardFeed, FeedStopped, feeding
 from planner.link.run import PASSWORD as BOARD_PASSWORD
 
@@ -49,7 +49,6 @@ MESSAGE = 1024  # bytes of RAPID's rawbytes
 AT_ONCE = MESSAGE // LENGTH  # frames that a controller reads at once
 LINEAR, JOINT, ABSOLUTE, END, STOP, ALIVE, CIRCULAR = range(1, 8)
 ON_AT_START, ON_AT_END, OFF_AT_END, FLOW_AT_START, FLOW_AT_END, TELL = 1, 2, 4, 8, 16, 32
-SWITCHES = ON_AT_START | ON_AT_END | OFF_AT_END
 COMBINED = {0, ON_AT_START, ON_AT_END, OFF_AT_END, ON_AT_START | OFF_AT_END}
 VALUES = 24
 MOST_LEFT = 65535
@@ -461,7 +460,8 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     if options.controller is not None and bool(stream.lines) != (options.head is not None):
         what = "sends lines to the extruder's board: say where it is" if stream.lines else "has no lines for a board"
         raise InputError(f"the program {what}", field="--head")
-    host, port = _address(options.controller) if options.controller else ("127.0.0.1", PORT)
+    address = given_address(options.controller or "127.0.0.1", PORT, "--controller")
+    host, port = address.host, address.port
     if options.server is not None:
         if not _is_ipv4(host):
             raise InputError(
@@ -474,7 +474,11 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
     if options.controller is not None:
         with ExitStack() as stack:
-            board = None if options.head is None else stack.enter_context(feeding(_head(options.head)))
+            board = (
+                None
+                if options.head is None
+                else stack.enter_context(feeding(given_address(options.head, BOARD_PORT, "--head")))
+            )
             sender = send(stream, host, port, say, None if board is None else LineFeed(stream, board))
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED
@@ -511,13 +515,6 @@ def program_in(folder: Path) -> tuple[RobotProgram, str]:
             raise InputError(f"cannot be read: {error}", file=path) from error
     found = next((match for text in texts.values() if (match := _DEMAND.search(text))), None)
     return read_rapid_files(texts), "" if found is None else found[1]
-
-
-def _head(text: str) -> Address:
-    try:
-        return parse_address(text, BOARD_PORT)
-    except ValueError as error:
-        raise InputError(str(error), field="--head") from None
 
 
 def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines: LineFeed | None = None) -> Sender:
@@ -570,15 +567,6 @@ def _pump(
         if sender.done >= reported * sender.total:
             say(f"{sender.done} of {sender.total} moves begun")
             reported = sender.done / sender.total + REPORT_EVERY
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, colon, port = text.rpartition(":")
-    if not colon:
-        return text, PORT
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"{text!r} is not HOST or HOST:PORT", field="--controller")
-    return host, int(port)
 
 
 def _is_ipv4(host: str) -> bool:
