@@ -18,7 +18,7 @@ from simulate_fixtures import MODULE, Client, program, reader
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid, rapid_files
 from planner.simulate.controller import OUTPUT, SEND, SETTLE, Controller, own_clock, played_motion
-from planner.simulate.rws import FILES_V2, FORM_V2, USER, Access, RwsServer
+from planner.simulate.rws import FILES_V2, FORM, USER, Access, RwsServer
 from planner.simulate.servers import TIMEOUT, WINDOW, Ended, ProgramSocket
 from planner.simulate.start import Simulated, start
 
@@ -331,9 +331,11 @@ def test_version_2_with_a_certificate(tmp_path) -> None:
         session.headers["Accept"] = "application/hal+json;v=2.0"
 
         def post(path: str, **form: str) -> int:
-            return session.post(base + path, data=form, headers={"Content-Type": FORM_V2}).status_code
+            return session.post(base + path, data=form, headers={"Content-Type": FORM[2]}).status_code
 
         assert requests.get(base + "/rw/panel/opmode", verify=str(tmp_path / "cert")).status_code == 401
+        odd = {"Authorization": b"Basic \xe4"}
+        assert requests.get(base + "/rw/panel/opmode", headers=odd, verify=str(tmp_path / "cert")).status_code == 401
         assert session.get(base + "/rw/panel/opmode").json()["state"][0]["opmode"] == "AUTO"
         session.put(base + "/fileservice/$HOME/Made.mod", MODULE.encode(), headers={"Content-Type": FILES_V2[0]})
         assert controller.files() == ["Made.mod"]

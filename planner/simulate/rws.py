@@ -44,7 +44,6 @@ MOST_NONCES = 200  # that digests are taken for; who has an older one is asked a
 MOST_COUNT = 0xFFFFFFFF
 MOST_SESSIONS = 70  # as on an IRC5; 503 beyond
 FORM = {1: "application/x-www-form-urlencoded", 2: "application/x-www-form-urlencoded;v=2.0"}
-FORM_V2 = FORM[2]
 FILES_V2 = ("application/octet-stream;v=2.0", "text/plain;v=2.0")
 ACCEPT_V2 = ("application/hal+json;v=2.0", "application/xhtml+xml;v=2.0")
 SUBPROTOCOL = {1: "robapi2_subscription", 2: "rws_subscription"}
@@ -190,8 +189,8 @@ class _Desk:
         """Whether a request, with its Authorization, is of a user. A digest is taken once: its count must rise (RFC 7616)."""
         kind, _, rest = header.partition(" ")
         if self.two:
-            expected = base64.b64encode(f"{self.access.user}:{self.access.password}".encode()).decode()
-            return kind == "Basic" and hmac.compare_digest(rest.strip(), expected)
+            expected = base64.b64encode(f"{self.access.user}:{self.access.password}".encode())
+            return kind == "Basic" and hmac.compare_digest(rest.strip().encode(), expected)
         if kind != "Digest":
             return False
         answer = parse_keqv_list([each for each in parse_http_list(rest) if "=" in each])
