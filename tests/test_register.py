@@ -22,9 +22,9 @@ from planner.problem.rewrite import write_changed
 from planner.register import command
 from planner.register.command import main
 from planner.register.contacts import locate, plate_poses, read_readings, settled
-from planner.register.finding import Ask, plan_contacts, register, scene_of, suggest_next
+from planner.register.finding import Ask, as_published, plan_contacts, register, scene_of, suggest_next
 from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
-from planner.register.telling import changes_of, rpy_degrees
+from planner.register.telling import changes_of, published_lines, rpy_degrees
 
 Array = NDArray[np.float64]
 
@@ -380,6 +380,15 @@ def test_the_published_answer_is_written_from_nine_contacts_of_one_side(tmp_path
         off.append([np.linalg.norm(axis), np.linalg.norm(cylinder)])
     assert (np.array(off) <= 5e-5).all(axis=1).mean() >= 0.9
     np.testing.assert_allclose(off, 0.0, atol=1e-4)
+
+
+def test_contacts_keep_their_names_by_the_published_way(tmp_path: Path) -> None:
+    here = scene("cylinder_logo")
+    file = write_contacts(tmp_path / "c.csv", from_one_side(here, here.start, 0.0, 0.0, np.random.default_rng(0)))
+    head, *rows_ = file.read_text().splitlines()
+    file.write_text("\n".join([f"name,{head}", *(f"rim {k},{row}" for k, row in enumerate(rows_))]))
+    lines = published_lines(as_published(here, file), {})
+    assert [line[:5] for line in lines[1:10]] == [f"rim {k}" for k in range(9)]
 
 
 def test_least_squares_settle_what_pollards_equation_found() -> None:

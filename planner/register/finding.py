@@ -204,11 +204,12 @@ def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
 @dataclass(frozen=True)
 class Published:
     """A table and the cylinder on it by Pollard et al., eq. (1); what least squares make of that over the contacts which it
-    fits; which contacts (n) these are; and the placement that this is."""
+    fits; which contacts (n) these are, and the names of all; and the placement that this is."""
 
     table: Turntable
     settled: Turntable
     right: Flags
+    names: tuple[str, ...]
     placement: Placement
 
     @property
@@ -255,7 +256,7 @@ def as_published(scene: Scene, file: Path) -> Published:
     T = scene.start.T_plate_part.copy()
     T[:2, 3] = found.cylinder - T[:2, :2] @ np.asarray(part.cylinder.centre)
     shift = np.append(found.axis - contacts.T_world_plate[0, :2, 3], 0.0)
-    return Published(table, found, right, Placement(T, shift))
+    return Published(table, found, right, contacts.names, Placement(T, shift))
 
 
 def suggest_next(found: Registration) -> tuple[TouchPlaces, int, float] | None:

@@ -212,11 +212,11 @@ def published_lines(found: Published, changes: Mapping[str, Value]) -> list[str]
     """What eq. (1) of Pollard et al. says, contact by contact, and what is written."""
     table, settled = found.table, found.settled
     off = np.linalg.norm(table.off, axis=1) * 1e3
-    mark = np.where(found.right, "", "  outlier")
+    mark = np.where(found.right, "", "  outlier").tolist()
     moved = _numbers(np.linalg.norm([settled.axis - table.axis, settled.cylinder - table.cylinder], axis=1) * 1e3, 3)
     return [
         "contact      off mm",
-        *(f"{i:<10} {each:+9.3f}{mark[i - 1]}" for i, each in enumerate(off, 1)),
+        *(f"{name:<10} {each:+9.3f}{wrong}" for name, each, wrong in zip(found.names, off, mark, strict=True)),
         f"Pollard's eq. (1), sum of absolute differences: {table.cost * 1e3:.3f} mm off on average",
         f"least squares over the contacts that it fits: table and cylinder {moved} mm from there",
         *(f"found {field}: {value}" for field, value in changes.items()),
