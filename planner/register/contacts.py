@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
+from scipy.sparse import block_array, coo_array, eye_array
 
 from planner.base.arrays import Array, Flags, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
@@ -295,10 +296,10 @@ def locate(tips: Array, turns: Array, reach: Array) -> Turntable:
     if np.linalg.matrix_rank(A, tol=1e-3) < 4:
         raise ValueError("the table stands at one angle only")
     b = (tips - reach).ravel()
-    least = np.eye(2 * n)
+    least = eye_array(2 * n)
     solved = linprog(
         np.append(np.zeros(4), np.ones(2 * n)),
-        A_ub=np.block([[A, -least], [-A, -least]]),
+        A_ub=block_array([[coo_array(A), -least], [coo_array(-A), -least]], format="csc"),
         b_ub=np.append(b, -b),
         bounds=[(None, None)] * 4 + [(0.0, None)] * (2 * n),
     )
