@@ -64,9 +64,9 @@ STEPS = 100.0  # of accuracy in a mm
 BEGIN = ("CP ON", "PREFETCH.SIGINS OFF", "ABS.SPEED ON")
 
 
-def as_name(name: str, longest: int = LONGEST_NAME) -> str:
+def as_name(name: str) -> str:
     """Small letters and digits, at most 15 of them, of a problem's name."""
-    return module_name(name, longest).lower()
+    return module_name(name, LONGEST_NAME).lower()
 
 
 def write(plan: Plan) -> dict[str, str]:

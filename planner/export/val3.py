@@ -80,7 +80,7 @@ BEGIN_TASK, END_TASK = '  taskCreate "extruder",10,extruder()', '  taskKill("ext
 
 
 @dataclass(frozen=True)
-class Paces:
+class MoveDescriptors:
     """Movement descriptors: those of moves (m) by their numbers, and each as its attributes in the data file."""
 
     of_move: list[int]
@@ -97,8 +97,8 @@ def write(plan: Plan) -> dict[str, str]:
     require_writable(plan, unsupported_in_val3(plan))
     name, moves = val3_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
-    paces, switches = _paces(plan, moves), _Switches(plan, moves)
-    parts = {f"part{k}": _part(moves, k, group, paces, switches) for k, group in enumerate(own, 1)}
+    descriptors, switches = _descriptors(plan, moves), _Switches(plan, moves)
+    parts = {f"part{k}": _part(moves, k, group, descriptors, switches) for k, group in enumerate(own, 1)}
     off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
     start = [
         *_header(plan),
@@ -115,7 +115,7 @@ def write(plan: Plan) -> dict[str, str]:
     programs = {"start": start, **_fixed(plan), **parts}
     return {
         f"{name}.pjx": _project(name, programs),
-        f"{name}.dtx": _data(plan, moves, own, paces, switches),
+        f"{name}.dtx": _data(plan, moves, own, descriptors, switches),
         **{f"{each}.pgx": _program(each, lines) for each, lines in programs.items()},
     }
 
@@ -196,7 +196,9 @@ def _points(position: Array, quat: Array) -> list[str]:
     return [form % tuple(row) for row in rows.tolist()]
 
 
-def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, switches: _Switches) -> str:
+def _data(
+    plan: Plan, moves: Moves, own: list[list[MoveSection]], descriptors: MoveDescriptors, switches: _Switches
+) -> str:
     cell = plan.cell
     joints = _joints(STAUBLI.counted(plan.trajectory.q[moves.sample][:, cell.own]))
     ends, vias = (
@@ -208,7 +210,7 @@ def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, 
         _array("tNozzle", "tool", [_frame(STAUBLI.tool(cell), "flange")]),
         _array("fPart", "frame", [_frame(STAUBLI.part(cell), "world")]),
         _array("dOut", "dio", [f'link="{OUTPUT.format(k)}"' for k in output_numbers(plan.problem).values()]),
-        _array("mPace", "mdesc", paces.values),
+        _array("mPace", "mdesc", descriptors.values),
         _array("nAt", "num", ['value="-1"'] * len(switches.table)),
         _array("nOut", "num", [f'value="{output}"' for output, _ in switches.table]),
         _array("bOn", "bool", [f'value="{str(value).lower()}"' for _, value in switches.table]),
@@ -226,7 +228,7 @@ def _data(plan: Plan, moves: Moves, own: list[list[MoveSection]], paces: Paces, 
     return "\n".join([*lines, "  </Datas>", "</Database>", ""])
 
 
-def _paces(plan: Plan, moves: Moves) -> Paces:
+def _descriptors(plan: Plan, moves: Moves) -> MoveDescriptors:
     blends = planned_zones(plan, moves) * 1e3
     numbers: dict[str, int] = {_pace(percent(plan, moves)[0], UNBOUND, "off", 0.0): 0}  # to the start
     found = []
@@ -240,7 +242,7 @@ def _paces(plan: Plan, moves: Moves) -> Paces:
         kind = "off" if blend == 0.0 else "Cartesian" if linear else "Joint"
         said = _pace(100, speed, kind, blend) if linear else _pace(share, UNBOUND, kind, blend)
         found.append(numbers.setdefault(said, len(numbers)))
-    return Paces(found, list(numbers))
+    return MoveDescriptors(found, list(numbers))
 
 
 def _pace(vel: int, tmax: float, blend: str, radius: float) -> str:
@@ -270,7 +272,7 @@ class _Switches:
                     self.table.append(row)
 
 
-def _part(moves: Moves, k: int, own: list[MoveSection], paces: Paces, switches: _Switches) -> list[str]:
+def _part(moves: Moves, k: int, own: list[MoveSection], descriptors: MoveDescriptors, switches: _Switches) -> list[str]:
     """Statements of the k-th program."""
     lines: list[str] = []
     counts = {True: 0, False: 0}
@@ -283,7 +285,7 @@ def _part(moves: Moves, k: int, own: list[MoveSection], paces: Paces, switches: 
             counts[linear] += taken
             target = ",".join(f"{'p' if linear else 'j'}Path{k}[{key}]" for key in keys)
             word = "c" if moves.circular[i] else "l" if linear else "j"
-            move = f"move{word}({target},tNozzle,mPace[{paces.of_move[i]}])"
+            move = f"move{word}({target},tNozzle,mPace[{descriptors.of_move[i]}])"
             lines += _move(switches.after.get(i, []), move)
             lines += _lines(resting(moves.waits.get(i, ()), MARK, WAIT, 0))
     return lines

@@ -37,7 +37,7 @@ from planner.simulate.web_socket import CLOSE, PING, PONG, TEXT, SocketClosed, W
 
 REALM = "validusers@robapi.abb"
 USER = "Default User"  # ABB's, on every new controller
-REFUSED = -1073442816  # stands for any refusal: clients must go by the HTTP status
+REFUSED = -1073442816  # the code of every refusal; clients must go by the HTTP status
 LONGEST_FORM = 4096  # bytes
 PATIENCE = 30.0  # s without a request until a connection is closed, and without a word until a subscription is
 MOST_NONCES = 200  # that digests are taken for; who has an older one is asked again

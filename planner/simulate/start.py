@@ -74,7 +74,7 @@ def start(
     cell: Cell | None = None,
     arms: int = 1,
 ) -> Simulated:
-    """Start both simulators on free ports; faults as words such as `drop@25` (see `faults`).
+    """Start both simulators on free ports; faults as words such as `drop@25` (see `faults_of`).
 
     access: to the web services, else as on a new controller; in_use: another program is loaded.
     read: modules (name → text) → programs, in place of our own reader of RAPID; cell: whose limits the motion keeps,

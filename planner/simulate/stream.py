@@ -67,7 +67,7 @@ class StreamState:
 
 
 def frame_of(data: bytes) -> Frame:
-    """A frame out of its bytes. Raises Stopped for a wrong checksum."""
+    """A frame out of its bytes. Raises StreamEnded for a wrong checksum."""
     words = np.frombuffer(data, "<u2").astype(np.int64)
     body, sums = words[:-2], words[-2:]
     running = np.cumsum(body)
@@ -94,7 +94,7 @@ class Buffer:
         self.finished = False
 
     def take(self, frame: Frame) -> None:
-        """One frame. Raises Stopped for one that may not come."""
+        """One frame. Raises StreamEnded for one that may not come."""
         if frame.kind == 6:
             return
         if frame.kind == 5:
@@ -113,7 +113,7 @@ class Buffer:
         return len(self._frames)
 
     def advance(self, now: float) -> bool:
-        """Hand over what may be by now [wall s]; whether anything was. Raises Stopped where it starves."""
+        """Hand over what may be by now [wall s]; whether anything was. Raises StreamEnded where it starves."""
         handed = False
         while not self.finished and self._may_hand(now):
             self._hand(self._held.popleft(), now)

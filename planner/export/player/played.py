@@ -57,7 +57,7 @@ class Played:
     q, position, quat  (k, n), (k, 3), (k, 4) x y z w: joints, and the true nozzle in the part frame
     move      (k - 1)     the move to which the way from each knot to the next belongs
     leave     (k)         when the robot leaves a knot: later than it came there by what it waits [s]
-    length    (k - 1)     of the way, in metres of path (see `pacing`)
+    length    (k - 1)     of the way, in metres of path (see pace.py)
     phases    (k - 1, 6)  of each way, as PHASES has them [m/s, m/s^2, s, s, m/s^2, s]
     limit     (k - 1)     what the top speed on it follows from: index into `limits`
     target    (m)         the knot that is the target of each move

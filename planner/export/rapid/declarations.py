@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 UNUSED = "9E9"
 
 
-def external_text(degrees: Array) -> list[str]:
-    """`eax_a,..,eax_f` of each row, in degrees or mm."""
-    unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - degrees.shape[1]))
-    if not degrees.shape[1]:
-        return [unused] * len(degrees)
-    degrees = np.round(degrees, 4) + 0.0  # turns minus nought into nought
-    pattern = ",".join(["%.4f"] * degrees.shape[1]) + ("," + unused if unused else "")
-    return [pattern % tuple(row) for row in degrees.tolist()]
+def external_text(external: Array) -> list[str]:
+    """`eax_a,..,eax_f` of each row of external axes (n, k) [deg, mm]."""
+    unused = ",".join([UNUSED] * (RAPID_EXTERNAL_AXES - external.shape[1]))
+    if not external.shape[1]:
+        return [unused] * len(external)
+    external = np.round(external, 4) + 0.0  # turns minus nought into nought
+    pattern = ",".join(["%.4f"] * external.shape[1]) + ("," + unused if unused else "")
+    return [pattern % tuple(row) for row in external.tolist()]
 
 
 def joints_text(degrees: Array) -> list[str]:

@@ -416,7 +416,7 @@ def rapid_files(plan: Plan) -> dict[str, str]:
     """All files of the program of a verified plan, by name: ASCII, mm, degrees, targets in the part frame.
 
     They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`; where
-    a second arm moves the part, its own modules and program file besides, see `multimove`.
+    a second arm moves the part, its own modules and program file besides, see multimove.py.
     Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
     InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
