@@ -169,6 +169,14 @@ SPOILT = {
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("mark", [";", "\t", "  "])
+def test_columns_are_parted_by_what_the_header_shows(tmp_path: Path, mark: str) -> None:
+    file = weighed(tmp_path, 0.1)
+    value = read_table(file, asked()[1]).value
+    file.write_text(file.read_text().replace(",", mark), encoding="utf-8")
+    np.testing.assert_array_equal(read_table(file, asked()[1]).value, value)
+
+
 @pytest.mark.parametrize("case", SPOILT)
 def test_a_table_of_something_else_is_refused(tmp_path: Path, case: str) -> None:
     change, said = SPOILT[case]

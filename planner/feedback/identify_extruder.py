@@ -7,7 +7,6 @@ width over a length of speed times lag. What was weighed in segments, or measure
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from scipy.optimize import least_squares
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import InputError, nearest_name
-from planner.base.files import read_text
+from planner.base.tables import rows_of, separator_of, split_row
 from planner.problem import Problem
 from planner.problem.rewrite import Value, changed_text, without
 
@@ -247,12 +246,12 @@ def read_table(file: Path, line: FlowLine) -> LineTable:
 
     Raises InputError with line and column for what cannot be of this line.
     """
-    lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
-    rows = [(i, row) for i, row in enumerate(lines, 1) if row.strip() and not row.lstrip().startswith("#")]
+    rows = rows_of(file, LARGEST_FILE)
     if not rows:
         raise InputError("holds no table", file=file)
-    separator = next((mark for mark in (",", ";", "\t") if mark in rows[0][1]), ",")
-    head = [name.strip().strip('"').lower() for name in _words(file, *rows[0], separator)]
+    separator = separator_of(rows[0][1])
+    wrong = partial(InputError, file=file, line=rows[0][0])
+    head = [name.strip('"').lower() for name in split_row(rows[0][1], separator, wrong)]
     weighed = "mass_mg" in head
     wanted = ("from_mm", "to_mm", "mass_mg") if weighed else ("s_mm", "width_mm")
     for name in wanted:
@@ -260,7 +259,7 @@ def read_table(file: Path, line: FlowLine) -> LineTable:
             near = nearest_name(name, head)
             hint = "from_mm, to_mm, mass_mg of a line that was cut and weighed, or s_mm, width_mm of a picture"
             told = f"{hint}; there is {near}" if near else hint
-            raise InputError(f"no column {name}", file=file, line=rows[0][0], hint=told)
+            raise wrong(f"no column {name}", hint=told)
     table = np.array([_row(file, i, row, separator, head, wanted) for i, row in rows[1:]]).reshape(-1, len(wanted))
     if len(table) < LEAST_ROWS:
         raise InputError(f"holds {len(table)} rows", file=file, hint=f"at least {LEAST_ROWS}, on both sides of steps")
@@ -273,28 +272,24 @@ def read_table(file: Path, line: FlowLine) -> LineTable:
     return found
 
 
-def _words(file: Path, i: int, row: str, separator: str) -> list[str]:
-    try:
-        return next(csv.reader([row], delimiter=separator))
-    except csv.Error as error:
-        raise InputError(f"is not CSV: {error}", file=file, line=i) from None
-
-
-def _row(file: Path, i: int, row: str, separator: str, head: Sequence[str], wanted: Sequence[str]) -> list[float]:
+def _row(
+    file: Path, i: int, row: str, separator: str | None, head: Sequence[str], wanted: Sequence[str]
+) -> list[float]:
     """The wanted numbers of a row."""
-    words = _words(file, i, row, separator)
+    wrong = partial(InputError, file=file, line=i)
+    words = split_row(row, separator, wrong)
     if len(words) != len(head):
         hint = "a decimal point, not a comma" if len(words) > len(head) else "every row whole"
-        raise InputError(f"{len(words)} columns, and {len(head)} in the header", file=file, line=i, hint=hint)
+        raise wrong(f"{len(words)} columns, and {len(head)} in the header", hint=hint)
     out = []
     for name in wanted:
-        word = words[head.index(name)].strip()
+        word = words[head.index(name)]
         try:
             number = float(word)
         except ValueError:
             number = math.nan
         if not math.isfinite(number):
-            raise InputError(f"{word[:40]!r} is no number", file=file, line=i, field=name)
+            raise wrong(f"{word[:40]!r} is no number", field=name)
         out.append(number)
     return out
 

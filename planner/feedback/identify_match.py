@@ -10,8 +10,8 @@ from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.errors import InputError
 from planner.feedback.filters import noise_of
 from planner.feedback.identify_program import AskedMoves
-from planner.feedback.readings import DEGREE, LogReading, check_clock, readings
-from planner.feedback.recordings import RobotLog
+from planner.feedback.readings import LogReading, check_clock, readings
+from planner.feedback.recordings import DEGREE, RobotLog
 
 SPAN = 0.04  # s before and behind an instant, over which places are averaged to see whether they move
 LEAST_REST = 0.15  # s that joints stand, to be a rest between moves

@@ -21,7 +21,6 @@ from planner.export.rapid.reader import read_rapid_files
 from planner.feedback.identify_path import CommandedPath, FollowedPath, follow
 from planner.feedback.planned import SAVED, planned_results
 from planner.feedback.readings import (
-    DEGREE,
     LEAVES,
     RunStart,
     check_clock,
@@ -32,7 +31,7 @@ from planner.feedback.readings import (
     readings,
     run_starts,
 )
-from planner.feedback.recordings import RobotLog
+from planner.feedback.recordings import DEGREE, RobotLog
 from planner.plan import Plan
 from planner.problem import Problem
 

@@ -16,7 +16,7 @@ from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.export.krl import OFFSETS as KUKA_OFFSETS
 from planner.export.krl import SIGNS as KUKA_SIGNS
 from planner.export.languages import LANGUAGES
-from planner.feedback.recordings import RobotLog
+from planner.feedback.recordings import DEGREE, RobotLog
 
 NEAR = (np.radians(1.0), 3e-3)  # from a program's first posture, within which a run begins [rad, m]
 LEAVES = 0.03  # m from a path, beyond which it is another program's
@@ -25,7 +25,6 @@ LEAST_MOTION = 5  # samples behind a start
 BEFORE = 0.2  # s
 FINEST = (np.radians(0.05), 1e-4)  # of the steps in which joints are recorded at most [rad, m]
 GAP = 5.0  # median steps: a longer one is a gap
-DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import numpy as np
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.command_line import Command
 from planner.base.errors import Complaint, InputError
-from planner.base.files import read_text
+from planner.base.tables import is_number, rows_of, separator_of, split_row
 from planner.cell.cell import Cell
 from planner.feedback.bags import BagTable, is_bag, read_bag
 from planner.feedback.glitches import cleaned
@@ -117,18 +116,17 @@ def read_log(file: Path, cell: Cell, columns: Sequence[str] | None = None, topic
     if is_bag(file):
         return _of_bag(file, read_bag(file, cell, topic), cell)
     _check_kind(file)
-    lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
-    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    rows = rows_of(file, LARGEST_FILE)
     if not rows:
         raise InputError("holds no samples", file=file)
-    separator = next((mark for mark in (",", ";", "\t") if mark in rows[0][1]), None)
+    separator = separator_of(rows[0][1])
     if columns is None:
         line, head = rows.pop(0)
         wrong = partial(InputError, file=file, line=line)
-        words = _split(head, separator, wrong)
-        if (other := _other_table(words, [_split(text, separator, wrong) for _, text in rows[:20]])) is not None:
+        words = split_row(head, separator, wrong)
+        if (other := _other_table(words, [split_row(text, separator, wrong) for _, text in rows[:20]])) is not None:
             raise wrong(other, hint=RECORDING)
-        if all(_is_number(word) for word in words):
+        if all(is_number(word) for word in words):
             raise wrong("a header that names the columns is missing", hint=f"--columns names them: {SPELLINGS}")
     else:
         words, wrong = list(columns), partial(InputError, file=file, field="--columns")
@@ -283,7 +281,7 @@ def _other_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str | No
         return "is the trajectory of a plan, and not what a robot did"
     if names >= _PLACES and not names & (TIMES | {"joint_1", "q", "j"}):
         return CLOUD
-    table = [[float(word) for word in row] for row in (head, *rows) if all(map(_is_number, row))]
+    table = [[float(word) for word in row] for row in (head, *rows) if all(map(is_number, row))]
     if len(table) < 2 or len(table) < len(rows) or {len(row) for row in table} - {3, 6}:
         return None
     if len(table[0]) == 3:
@@ -419,20 +417,3 @@ def _numbers(file: Path, rows: Sequence[tuple[int, str]], separator: str | None,
         name = columns[int(column)].name[:40]
         raise InputError(f"column {name!r} is no finite number here", file=file, line=rows[int(row)][0])
     return table
-
-
-def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
-    if separator is None:
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=separator))
-    except csv.Error as error:
-        raise wrong(f"is not CSV: {error}") from None
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

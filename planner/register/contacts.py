@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from scipy.sparse import block_array, coo_array, eye_array
 
 from planner.base.arrays import Array, Flags, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
-from planner.base.files import read_text
+from planner.base.tables import is_number, rows_of, separator_of, split_row
 from planner.cell.cell import Cell
 
 # ----------------------------------------------------------------------------------------------------
@@ -79,15 +78,14 @@ def read_readings(file: Path, cell: Cell) -> Readings:
     axes of what holds the part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas, semicolons, tabs or blanks.
     Raises InputError with file, line and column for whatever is wrong.
     """
-    lines = read_text(file, LARGEST_FILE, partial(InputError, file=file))
-    rows = [(i, line) for i, line in enumerate(lines, 1) if line.strip() and not line.lstrip().startswith("#")]
+    rows = rows_of(file, LARGEST_FILE)
     if not rows:
         raise InputError("holds no contacts", file=file, hint=_expected(cell))
     head_line, head = rows[0]
-    separator = next((mark for mark in (",", ";", "\t") if mark in head), None)
+    separator = separator_of(head)
     wrong = partial(InputError, file=file, line=head_line)
-    words = _split(head, separator, wrong)
-    if all(_is_number(word) for word in words):
+    words = split_row(head, separator, wrong)
+    if all(is_number(word) for word in words):
         raise wrong("a header that names the columns is missing", hint=_expected(cell))
     places = _places(words, cell, wrong)
     if len(rows) == 1:
@@ -97,7 +95,7 @@ def read_readings(file: Path, cell: Cell) -> Readings:
     name_at = next((places.pop(name) for name in NAMES if name in places), None)
     names, table = [], []
     for line, text in rows[1:]:
-        cells = _split(text, separator, partial(InputError, file=file, line=line))
+        cells = split_row(text, separator, partial(InputError, file=file, line=line))
         if len(cells) != len(words):
             count = f"{len(cells)} value{'s' if len(cells) != 1 else ''}"
             hint = "a decimal point, not a comma, between columns as in the header"
@@ -187,15 +185,6 @@ def _unit(column: str, cell: Cell) -> str:
     return "mm" if cell.joint_names.index(column) in cell.limits.sliding else "deg"
 
 
-def _split(line: str, separator: str | None, wrong: Complaint) -> list[str]:
-    if separator is None:
-        return line.split()
-    try:
-        return [word.strip() for word in next(csv.reader([line], delimiter=separator))]
-    except csv.Error as error:
-        raise wrong(f"is not CSV: {error}") from None
-
-
 def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
     """Where the columns stand that are known; InputError for one that is missing, unknown, or in another unit."""
     joints, na = cell.joint_names, len(cell.arm)
@@ -231,19 +220,11 @@ def _places(words: list[str], cell: Cell, wrong: Complaint) -> dict[str, int]:
     return {name: places[name] for name in (*NAMES, *TIP, *AXIS, *joints) if name in places}
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 def _number(word: str, column: str, unit: str, file: Path, line: int) -> float:
     wrong = partial(InputError, file=file, line=line, field=column)
     if not word:
         raise wrong("is missing")
-    if not _is_number(word) or "_" in word:
+    if not is_number(word) or "_" in word:
         hint = "a decimal point, not a comma" if "," in word else None
         raise wrong(f"{word[:40]!r} is not a number", hint=hint)
     value = float(word)
