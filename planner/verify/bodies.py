@@ -9,7 +9,7 @@ from functools import cached_property
 import coal
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
@@ -272,7 +272,7 @@ def coal_geometry(solid: Solid) -> tuple[coal.CollisionGeometry, Array]:
         T[2, 3] = 0.5 * solid.height
         return coal.Cylinder(solid.bottom, solid.height), T
     if isinstance(solid, Mesh):
-        return _mesh(solid), T
+        return triangle_model(solid.vertices, solid.triangles), T
     if isinstance(solid, Frustum):
         angle = np.arange(_CORNERS) * 2.0 * np.pi / _CORNERS
         circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_CORNERS)]) / np.cos(np.pi / _CORNERS)
@@ -291,12 +291,13 @@ def _points(points: Array) -> coal.StdVec_Vec3s:
     return out
 
 
-def _mesh(mesh: Mesh) -> coal.CollisionGeometry:
-    triangles = coal.StdVec_Triangle()
-    triangles.extend([coal.Triangle(*map(int, corner)) for corner in mesh.triangles])
+def triangle_model(vertices: Array, triangles: Ints) -> coal.BVHModelOBBRSS:
+    """Triangles (m, 3) of vertices (n, 3), as coal has them."""
+    corners = coal.StdVec_Triangle()
+    corners.extend([coal.Triangle(*corner) for corner in triangles.tolist()])
     out = coal.BVHModelOBBRSS()
-    out.beginModel(len(mesh.triangles), len(mesh.vertices))
-    out.addSubModel(_points(mesh.vertices), triangles)
+    out.beginModel(len(triangles), len(vertices))
+    out.addSubModel(_points(vertices), corners)
     out.endModel()
     return out
 

@@ -17,6 +17,7 @@ from planner.base.errors import InputError
 from planner.base.files import stamp_of
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import MeshSpec, PartSpec
+from planner.verify.bodies import triangle_model
 
 _STEPS = 60  # towards the foot of a perpendicular; each gains a factor of the height over the radius of curvature
 _CLOSE = 1e-9  # m
@@ -129,13 +130,5 @@ def distances_from_facets(spec: MeshSpec, points: Array) -> Array:
 def _facets(spec: MeshSpec, changed: int, size: int) -> coal.BVHModelOBBRSS:
     """A file's facets in the part frame; `changed` and `size` tell one file from another."""
     corners = read_corners(spec.file, partial(InputError, file=spec.file), spec.unit, spec.scale).reshape(-1, 3)
-    vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in Rotation.from_euler("xyz", spec.rpy).apply(np.array(corners)) + np.asarray(spec.origin):
-        vertices.append(vertex)
-    for i in range(0, len(corners), 3):
-        facets.append(coal.Triangle(i, i + 1, i + 2))
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(facets), len(vertices))
-    model.addSubModel(vertices, facets)
-    model.endModel()
-    return model
+    placed = Rotation.from_euler("xyz", spec.rpy).apply(np.array(corners)) + np.asarray(spec.origin)
+    return triangle_model(placed, np.arange(len(placed)).reshape(-1, 3))

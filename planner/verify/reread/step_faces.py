@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array, Ints
 from planner.base.isolated import ask
 from planner.problem.part import StepSpec
+from planner.verify.bodies import triangle_model
 from planner.verify.reread.plane_curves import NotRead
 
 OFF = 2e-6  # m by which triangles may leave the faces
@@ -149,14 +150,6 @@ def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
         bends.append(np.column_stack([bent.min(axis=1), bent.max(axis=1)]))
         owner.append(np.full(len(of), k, dtype=np.int64))
     every = np.concatenate(corners)
-    vertices, facets = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in every.reshape(-1, 3):
-        vertices.append(vertex)
-    for i in range(0, 3 * len(every), 3):
-        facets.append(coal.Triangle(i, i + 1, i + 2))
-    model = coal.BVHModelOBBRSS()
-    model.beginModel(len(facets), len(vertices))
-    model.addSubModel(vertices, facets)
-    model.endModel()
+    model = triangle_model(every.reshape(-1, 3), np.arange(3 * len(every)).reshape(-1, 3))
     sure = answer["sure"].tolist()
     return MeshedFaces(every, np.concatenate(normals), np.concatenate(bends), np.concatenate(owner), sure, model)
