@@ -17,7 +17,7 @@ from planner.export.forecast import FORMAT, forecast, forecast_json, judged
 from planner.export.languages import LANGUAGES
 from planner.export.player.model import ABB, PLAIN, MotionModel
 from planner.export.player.pace import ramp, turned_at
-from planner.export.player.path import corner_depth
+from planner.export.player.path import corner_depth, lagging_both_ways
 from planner.export.player.play import limited, play
 from planner.export.player.played import TIMES, laid_moves
 from planner.export.program import Trigger
@@ -278,6 +278,18 @@ def test_a_slow_corner_is_the_least_speed_and_lowers_the_share():
     assert told.least <= speed_at_knots(played)[played.target[1]] * (1 + 1e-6)
     assert told.share < 0.9
     assert told.off > 0.1e-3
+
+
+@pytest.mark.parametrize(("moving", "slope"), [(False, 0.0), (True, 0.02)])
+def test_what_comes_before_and_after_counts_by_its_time(moving, slope):
+    """A way that rests, or goes straight on, for long beyond what is bent."""
+    k, keep = np.arange(1000), 0.9
+    way = slope * k[:, None] + np.zeros(2)
+    way[400:600] += np.random.default_rng(0).normal(size=(200, 2))
+    weights = (1.0 - keep) / (1.0 + keep) * keep ** np.abs(k[400:600, None] - k)
+    found = lagging_both_ways(way, keep, moving)
+    np.testing.assert_allclose(found[400:600], weights @ way, atol=1e-9)
+    np.testing.assert_allclose(found[[0, -1]], way[[0, -1]], atol=1e-9)
 
 
 def test_every_row_of_controllers_is_sound():

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import least_squares
-from scipy.signal import lfilter
 
 from planner.base.arrays import Array, Indices
+from planner.export.player.path import lagging_both_ways
 from planner.feedback.filters import smoothed, window_of
 from planner.feedback.identify_path import DEVIATION_SPAN, SHOWN, CommandedPath, FollowedPath, ShownValue
 
@@ -61,19 +61,10 @@ class PassedCorner:
         parabola = self.reach * (u**2 * self.goes - (1.0 - u) ** 2 * self.comes)
         places = np.where(np.abs(s) < self.reach, lines + depth * (parabola - lines), lines)
         if lag > CORNER_TICK:
-            # as `planner.export.player.path` has it: what was commanded before and after counts by exp(-|dt| / lag)
-            keep = float(np.exp(-CORNER_TICK / lag))
-            places = lagging(lagging(places, keep)[::-1], keep)
+            # what was commanded before and after counts by exp(-|dt| / lag)
+            places = lagging_both_ways(places, float(np.exp(-CORNER_TICK / lag)), moving=True)
         places = smoothed(places, window_of(DEVIATION_SPAN, CORNER_TICK))  # as recorded ones are
         return float(np.linalg.norm(places, axis=1).min())
-
-
-def lagging(places: Array, keep: float) -> Array:
-    """Places (g, 3) through a first-order lag that has followed their first line for long."""
-    first, slope = places[0], places[1] - places[0]
-    line = first + slope * np.arange(len(places))[:, None]
-    out: Array = line - slope * keep / (1.0 - keep) + lfilter([1.0 - keep], [1.0, -keep], places - line, axis=0)
-    return out
 
 
 def passed_corners(path: CommandedPath, followed: FollowedPath) -> list[PassedCorner]:

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
 from planner.base.arrays import Array
-from planner.feedback.identify_corners import CORNER_SPAN, CORNER_TICK, TRUE, lagging
+from planner.export.player.path import lagging_both_ways
+from planner.feedback.identify_corners import CORNER_SPAN, CORNER_TICK, TRUE
 from planner.feedback.identify_path import SHOWN, CommandedPath, FollowedPath, ShownValue
 
 REST = 0.02  # of the greatest speed, below which the tip rests
@@ -132,8 +133,7 @@ def _stop(followed: FollowedPath, part: slice, place: float, top: float, lag: fl
         )
         own = own[:, None]
         if lag > CORNER_TICK:
-            keep = float(np.exp(-CORNER_TICK / lag))
-            own = lagging(lagging(own, keep)[::-1], keep)[::-1]
+            own = lagging_both_ways(own, float(np.exp(-CORNER_TICK / lag)), moving=True)
         out: Array = (-np.interp(t, grid, own[:, 0]) - way) * weight
         return out
 

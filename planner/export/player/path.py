@@ -13,25 +13,31 @@ TICK = 4e-3  # s between instants at which the path is looked at: those of a con
 MOST_TICKS = 1_000_000  # of a program; longer ones are looked at more coarsely
 
 
-def lagging_both_ways(way: Array, keep: float) -> Array:
+def lagging_both_ways(way: Array, keep: float, moving: bool = False) -> Array:
     """A way (k, n) through the filter that weighs what was commanded before and after by `keep` to the power of the ticks
-    between."""
-    late = np.empty(way.shape)
-    _lagging(np.ascontiguousarray(way), keep, late)
-    early, back = np.empty(way.shape), late[::-1] - late[-1]
-    _lagging(np.ascontiguousarray(back), keep, early)
-    out: Array = early[::-1] + late[-1]
+    between.
+
+    moving: beyond its ends it goes on along its first and last line, where it else rests
+    """
+    late = _late(way, keep, moving)
+    return _late(late[::-1] - late[-1], keep, moving)[::-1] + late[-1]
+
+
+def _late(way: Array, keep: float, moving: bool) -> Array:
+    """What follows a way (k, n) late, from rest, or as it has along its first line for long."""
+    slope, out = way[1] - way[0] if moving else 0.0, np.empty(way.shape)
+    _lagging(np.ascontiguousarray(way), keep, way[0] - slope / (1.0 - keep), out)
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lagging(way: Array, keep: float, out: Array) -> None:
-    """Fill `out` (k, n) with what follows a way (k, n) late, from rest: of each tick a share of 1 - keep.
+def _lagging(way: Array, keep: float, start: Array, out: Array) -> None:
+    """Fill `out` (k, n) with what follows a way (k, n) late, a tick before it at a start (n): of each tick a share of 1 - keep.
 
     As scipy's `lfilter`, digit by digit, whose package takes half a second to import.
     """
     for j in range(way.shape[1]):
-        before = keep * way[0, j]
+        before = keep * start[j]
         for i in range(len(way)):
             out[i, j] = (1.0 - keep) * way[i, j] + before
             before = keep * out[i, j]
