@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -143,23 +145,17 @@ def samples_of_rest(trajectory: Trajectory, event: Event) -> tuple[int, int]:
 
 def rested_for(trajectory: Trajectory, a: int, b: int) -> list[Event]:
     """The events that take time for which the robot rests at home from sample a to b."""
-    since, until = trajectory.t[a] - NEAR_EVENT * trajectory.dt, trajectory.t[b]
-    return [
-        event
-        for event in trajectory.events
-        if event.kind in AT_HOME and event.duration > 0.0 and since <= event.start < until
-    ]
+    span = trajectory.t[a] - NEAR_EVENT * trajectory.dt, trajectory.t[b]
+    first, last = (bisect_left(trajectory.events, when, key=attrgetter("start")) for when in span)
+    return [event for event in trajectory.events[first:last] if event.kind in AT_HOME and event.duration > 0.0]
 
 
 def _meanwhile(trajectory: Trajectory, a: int, b: int) -> str:
     """What the extruder does while the robot stands still from sample a to b, beside what it stands still for."""
-    start, end = trajectory.t[a], trajectory.t[b]
-    during = [
-        event.words
-        for event in trajectory.events
-        if event.kind not in AT_HOME and event.start < end and event.start + event.duration > start
-    ]
-    return "; ".join(during)
+    events = trajectory.events
+    first = bisect_right(events, trajectory.t[a], key=lambda event: event.start + event.duration)
+    last = bisect_left(events, trajectory.t[b], key=attrgetter("start"))
+    return "; ".join(event.words for event in events[first:last] if event.kind not in AT_HOME)
 
 
 def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tuple[Flags, list[tuple[int, int, int]]]:
