@@ -28,10 +28,14 @@ from planner.problem import Problem, load_problem
 from planner.register.finding import scene_of
 from planner.register.places import reachable
 from planner.register.telling import place_words
+from planner.resolve.baselines import fixed
 from planner.resolve.follow import PosturesFollowed, follow
+from planner.resolve.infeasible import _postures_at
+from planner.resolve.ladder import coarse_grid
 from planner.resolve.sqp import free_variables
 from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import tasks_of
 from planner.verify.bodies import CellBodies
 from planner.verify.verdict import verify
 
@@ -562,6 +566,34 @@ def test_programs_say_where_the_table_is(slid: Plan, language: str) -> None:
     assert slid.q[:, 6].min() - 1e-4 <= min(places) < max(places) <= slid.q[:, 6].max() + 1e-4
     away = re.sub(pattern, lambda match: f"{match[1]}{float(match[2]) + 0.02 / unit:.4f}{match[3]}", text, count=1)
     assert chosen.differences(slid, files | {name: away})
+
+
+def test_fixed_holds_the_rail_where_it_was_searched(tmp_path: Path) -> None:
+    """The range of 3 m is spread over the grid's circle, 24 steps of 15 deg."""
+    line = "".join(f"{x} 0 50 0 0 1\n" for x in range(-100, 101, 5))
+    (tmp_path / "line.txt").write_text(line, encoding="utf-8")
+    own = problem(tmp_path, (str(PROBLEMS / "rail_panel.txt"), "line.txt"))
+    (path,) = fixed(build_cell(own), tasks_of(own, build_toolpath(own)), own.resolve)
+    assert np.ptp(path.q[:, 0]) == 0.0
+    np.testing.assert_allclose(np.remainder(path.q[0, 0] / (3.0 / 24), 1.0), 0.0, atol=1e-9)
+
+
+@pytest.fixture
+def short_slide(tmp_path: Path) -> Problem:
+    """A short line on the table that slides."""
+    np.savetxt(tmp_path / "long.txt", [[x, 0.0, 0.0, 0.0, 0.0, 1.0] for x in range(-20, 20)], fmt="%.4f")
+    (tmp_path / "slide.yaml").write_text(SLIDING, encoding="utf-8")
+    return load_problem(tmp_path / "slide.yaml")
+
+
+def test_a_refusal_judges_postures_with_the_table_where_it_was_searched(short_slide: Problem) -> None:
+    cell, settings = build_cell(short_slide), short_slide.resolve
+    tasks = tasks_of(short_slide, build_toolpath(short_slide))
+    demand, grid = coarse_grid(cell, tasks, settings)
+    q = _postures_at(cell, demand, grid, 1, settings.min_sigma)
+    tips = cell.T_part_nozzle(q)[:, :3, 3]
+    np.testing.assert_allclose(tips, np.tile(demand.tip[demand.rung[1]], (len(q), 1)), atol=1e-6)
+    assert np.ptp(q[:, -1]) > 0.5
 
 
 def test_a_slide_lengthens_what_turns_before_it(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         rolls = np.full(n, roll * grid.roll_step)
         chosen = np.tile(cell.home[list(cell.chosen)], (n, 1))
         if cell.chosen and grid.swept is not None:
-            chosen[:, grid.swept] = holder * grid.holder_step
+            chosen[:, grid.swept] = nodes.swept_at(holder)
         paths.append(JointPath(task, rolls, upright(task), postures(cell, task, rolls, chosen, branch), branch))
     return choose_turns(cell, paths)
 

@@ -544,7 +544,7 @@ def _postures_at(cell: Cell, demand: SampledTasks, grid: Grid, rung: int, min_si
     found = np.nonzero(np.isfinite(nodes.price))
     chosen = np.repeat(held, len(found[0]), axis=0)
     if cell.chosen and grid.swept is not None:
-        chosen[:, grid.swept] = (own.holder_from[0] + found[2]) * grid.holder_step
+        chosen[:, grid.swept] = nodes.swept_at(own.holder_from[0] + found[2])
     return np.hstack([nodes.q[found].astype(float), chosen[:, : len(cell.holder)]])
 
 

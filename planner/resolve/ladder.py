@@ -236,8 +236,7 @@ class ClearSearch:
             q = self.nodes.q[at, roll, holder, column].astype(float)
             chosen = grid.chosen(len(demand.rung), len(self._cell.chosen))[at]
             if self._cell.chosen and grid.swept is not None:
-                zero, unit = self.nodes.scale
-                chosen[:, grid.swept] = zero + unit * route.holder[angles_of] * grid.holder_step
+                chosen[:, grid.swept] = self.nodes.swept_at(route.holder[angles_of])
             now = demand.now[demand.rung[at]]
             whole = np.hstack([q, chosen[:, : len(self._cell.holder)]])
             blocked |= self._obstacles.margins(whole, now, 0.0, CLEAR_ROOM)[0] < 0.0

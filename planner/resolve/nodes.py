@@ -300,15 +300,18 @@ class Nodes:
     joint: int = 6
     scale: tuple[float, float] = (0.0, 1.0)
 
+    def swept_at(self, index: Ints | int) -> Array:
+        """Places [rad, m] of the swept joint at grid indices."""
+        zero, unit = self.scale
+        return np.asarray(zero + unit * index * self.grid.holder_step)
+
     def holder_joints(self, cell: Cell, rung: int) -> Array:
         """Joints (holders, nh) of what holds the part, at a rung's angles of the swept joint."""
         grid, k = self.grid, len(cell.chosen)
         rung %= len(self.price)
         chosen = np.repeat(grid.chosen(len(self.price), k)[rung : rung + 1], self.price.shape[2], axis=0)
         if k and grid.swept is not None:
-            zero, unit = self.scale
-            index = grid.holder_from[rung] + np.arange(len(chosen))
-            chosen[:, grid.swept] = zero + unit * index * grid.holder_step
+            chosen[:, grid.swept] = self.swept_at(grid.holder_from[rung] + np.arange(len(chosen)))
         return chosen[:, : len(cell.holder)]
 
 
