@@ -23,10 +23,10 @@ from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.report.summary import print_summary
-from planner.resolve.ladder import ladder
+from planner.resolve.ladder import guide_route, ladder
 from planner.resolve.table_path import _angles
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.task import make_tasks
+from planner.toolpath.task import make_tasks, tasks_of
 from planner.verify.executed import executed_motion
 from planner.verify.verdict import verify
 
@@ -103,6 +103,14 @@ strategy: sqp
 @cache
 def plan_of(folder: Path, name: str) -> Plan:
     return solve_alone(problem_of(folder, CELLS[name]))
+
+
+def test_a_tilt_at_home_at_the_end_of_a_narrow_range_stays_there(folder: Path) -> None:
+    """No other angle of the lattice at which it may rest is within 20 deg."""
+    problem = problem_of(folder, CELLS["two"] + "  limits: {tilt: {range_deg: [0, 20]}}\n")
+    cell = build_cell(problem)
+    found = guide_route(cell, tasks_of(problem, build_toolpath(problem)), problem.resolve)
+    assert found.chosen(2)[:, 0].max() < 1e-5
 
 
 def random_postures(cell: Cell, m: int) -> Array:

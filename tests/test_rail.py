@@ -19,7 +19,7 @@ from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.cell.kinematics.inverse import OnRail, kind_of, solve_one, solver_of
 from planner.collision.margins import nearest_margins
-from planner.collision.scene import obstacles_of
+from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
@@ -29,9 +29,11 @@ from planner.register.finding import scene_of
 from planner.register.places import reachable
 from planner.register.telling import place_words
 from planner.resolve.baselines import fixed
+from planner.resolve.drawn import postures_drawn
 from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.infeasible import _postures_at
-from planner.resolve.ladder import coarse_grid
+from planner.resolve.ladder import _rest_angles, _with_one_joint, coarse_grid, paths_of
+from planner.resolve.reach import looked_at
 from planner.resolve.sqp import free_variables
 from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
@@ -490,6 +492,34 @@ def test_programs_say_where_the_gantry_is(hanging: Plan, language: str) -> None:
     assert hanging.q[:, 1].min() - 1e-6 <= min(places) < max(places) <= hanging.q[:, 1].max() + 1e-6
     away = re.sub(pattern, lambda match: f"{match[1]}{float(match[2]) + 0.02 / unit:.4f}{match[3]}", text, count=1)
     assert chosen.differences(hanging, files | {name: away})
+
+
+@pytest.fixture
+def at_an_end(tmp_path: Path) -> Problem:
+    """A short line in reach of the gantry's corner, where both of its axes are at home."""
+    np.savetxt(tmp_path / "ribs.txt", [[x, 0.0, 0.0, 0.0, 0.0, 1.0] for x in range(-20, 20)], fmt="%.4f")
+    corner = RIBS.replace(", home_mm: {gantry_x: 1500, gantry_y: 1000}", "")
+    corner = corner.replace("bed_mm: [1500, 1000, 900]", "bed_mm: [600, 0, 900]").replace("rung_mm: 40", "rung_mm: 10")
+    (tmp_path / "corner.yaml").write_text(corner, encoding="utf-8")
+    return load_problem(tmp_path / "corner.yaml")
+
+
+def test_an_axis_whose_home_is_an_end_rests_near_it(at_an_end: Problem) -> None:
+    cell, tasks = build_cell(at_an_end), tasks_of(at_an_end, build_toolpath(at_an_end))
+    assert (cell.home[:2] == cell.limits.q_min[:2]).all()
+    found = _with_one_joint(cell, tasks, at_an_end.resolve, NOTHING, 1.0)
+    (path,) = paths_of(cell, tasks, found)
+    np.testing.assert_allclose(path.q[:, 1], cell.limits.room, atol=1e-5)
+
+
+def test_all_of_a_range_is_looked_at_from_an_end(at_an_end: Problem) -> None:
+    """By postures drawn at random, and by the lattice at which the other axis rests, whose steps are a twelfth of it."""
+    cell, (task,) = build_cell(at_an_end), tasks_of(at_an_end, build_toolpath(at_an_end))
+    low, high = looked_at(cell)
+    np.testing.assert_array_equal(low, cell.limits.q_min[:2])
+    np.testing.assert_array_equal(high, cell.limits.q_max[:2])
+    assert postures_drawn(cell, task, 20, 4_000)[:, 1].max() > 1.0  # of 2 m
+    np.testing.assert_allclose(_rest_angles(cell, 0, np.radians(30.0), 1), 0.07 + 0.25 * np.arange(9), atol=1e-5)
 
 
 def test_urscript_says_that_it_knows_no_gantry(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from planner.cell.cell import Cell, Limits
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.infeasible import refuse_rung
-from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, choose_turns, postures, upright
+from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, at_rest, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
 from planner.resolve.nodes import Nodes
 from planner.resolve.prices import DIP_PRICE
@@ -50,7 +50,7 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         holder, branch = choice[task.name]
         n = len(task)
         rolls = np.full(n, roll * grid.roll_step)
-        chosen = np.tile(cell.home[list(cell.chosen)], (n, 1))
+        chosen = np.tile(at_rest(cell), (n, 1))
         if cell.chosen and grid.swept is not None:
             chosen[:, grid.swept] = nodes.swept_at(holder)
         paths.append(JointPath(task, rolls, upright(task), postures(cell, task, rolls, chosen, branch), branch))

@@ -15,7 +15,7 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
 from planner.resolve.joint_path import flange_poses, upright
-from planner.resolve.reach import grid_scale
+from planner.resolve.reach import looked_at
 from planner.toolpath.task import NozzleTask
 
 PLACES = 48  # spread over a print that are looked at besides the one where a search ended
@@ -97,11 +97,7 @@ def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
     na, nh, limits = len(cell.arm), len(cell.holder), cell.limits
     draw = np.random.default_rng(0)
     roll = draw.uniform(0.0, TURN, n)
-    joints = list(cell.chosen)
-    half = np.array([np.pi * grid_scale(limits, joint)[1] for joint in joints])
-    home = cell.home[joints]
-    low, high = np.maximum(limits.q_min[joints], home - half), np.minimum(limits.q_max[joints], home + half)
-    chosen = draw.uniform(low, high, (n, len(joints)))
+    chosen = draw.uniform(*looked_at(cell), (n, len(cell.chosen)))
     spot, lean = repeated(task, i, n), upright(task)[[i] * n]
     if task.cones.tilt > 0.0:
         most = min(_BEYOND * task.cones.tilt, np.pi)

@@ -236,6 +236,16 @@ class JointPath:
     branch: int
 
 
+def at_rest(cell: Cell) -> Array:
+    """Where the chosen joints (k) rest: at home, or as near to it as a path may come to the ends of their ranges.
+
+    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice.
+    """
+    chosen = list(cell.chosen)
+    room = MARGIN + np.where(np.array(chosen, dtype=int) < len(cell.arm), cell.limits.room, MARGIN)
+    return np.clip(cell.home[chosen], cell.limits.q_min[chosen] + room, cell.limits.q_max[chosen] - room)
+
+
 def spread(values: Array, n: int, places: Array) -> Array:
     """n samples of a smooth curve that rung values (m) or (m, k) control: a clamped B-spline of degree 5.
 

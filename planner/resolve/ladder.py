@@ -19,6 +19,7 @@ from planner.resolve.joint_path import (
     MARGIN,
     JointPath,
     SampledTasks,
+    at_rest,
     choose_turns,
     leaned,
     least_cone,
@@ -32,7 +33,7 @@ from planner.resolve.joint_path import (
 )
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid, nodes_to_fill
 from planner.resolve.prices import FAR, HOME_PRICE
-from planner.resolve.reach import CLEAR_ROOM, grid_scale
+from planner.resolve.reach import CLEAR_ROOM, grid_scale, looked_at
 from planner.resolve.search import (
     LadderRoute,
     Route,
@@ -505,7 +506,7 @@ def _first_look(
     demand = sample_tasks(guides, _SPARSE * _rung(cell, guides, settings), _ROUGH * _turn(cell, settings))
     swept = max(nh - 1, 0)
     others = [j for j in range(k) if j != swept]
-    home = cell.home[list(cell.chosen)]
+    home = at_rest(cell)
     best: LadderRoute | None = None
     wound: LadderRoute | None = None
 
@@ -541,25 +542,21 @@ def _first_look(
 
 def _around_home(cell: Cell, chosen: Sequence[int]) -> Array:
     """Angles (m, len(chosen)) of chosen joints, drawn ever further from home within their ranges."""
-    joints = [cell.chosen[j] for j in chosen]
-    home = cell.home[joints]
-    half = np.array([np.pi * grid_scale(cell.limits, joint)[1] for joint in joints])
-    low = np.maximum(cell.limits.q_min[joints], home - half)
-    high = np.minimum(cell.limits.q_max[joints], home + half)
-    drawn = np.random.default_rng(0).uniform(low, high, (_DRAWN, len(joints)))
-    return home + np.linspace(0.0, 1.0, _DRAWN)[:, None] * (drawn - home)
+    rest, low, high = (each[list(chosen)] for each in (at_rest(cell), *looked_at(cell)))
+    drawn = np.random.default_rng(0).uniform(low, high, (_DRAWN, len(chosen)))
+    return rest + np.linspace(0.0, 1.0, _DRAWN)[:, None] * (drawn - rest)
 
 
 def _rest_angles(cell: Cell, chosen: int, step: float, others: int) -> Array:
-    """Angles at which a chosen joint may rest: a lattice over its range if it is the only one to rest, else home."""
-    joint = cell.chosen[chosen]
-    home = cell.home[joint]
+    """Angles at which a chosen joint may rest: those of a lattice over its range that are nearest to home if it is the only
+    one to rest, else home."""
+    rest, (low, high) = at_rest(cell)[chosen], looked_at(cell)
     if others > 1:
-        return np.array([home])
-    unit = grid_scale(cell.limits, joint)[1]
-    low, high = max(cell.limits.q_min[joint], home - unit * np.pi), min(cell.limits.q_max[joint], home + unit * np.pi)
-    around = home + unit * step * np.arange(-_LATTICE // 2 + 1, _LATTICE // 2 + 1)
-    return around[(around > low) & (around < high)]
+        return np.array([rest])
+    unit = grid_scale(cell.limits, cell.chosen[chosen])[1]
+    around = rest + unit * step * np.arange(1 - _LATTICE, _LATTICE)
+    inside = around[(around > low[chosen]) & (around < high[chosen])]
+    return np.sort(inside[np.argsort(np.abs(inside - rest), kind="stable")[:_LATTICE]])
 
 
 def _between_rungs(found: LadderRoute, demand: SampledTasks, k: int) -> Array:
@@ -601,7 +598,7 @@ def coarse_grid(
 ) -> tuple[SampledTasks, Grid]:
     """The tasks at the settings' rungs and the grid at its steps, or at twice those if it has more than `most` nodes."""
     demand = sample_tasks(tasks, _rung(cell, tasks, settings), _turn(cell, settings))
-    held = np.tile(cell.home[list(cell.chosen)], (len(demand.rung), 1))
+    held = np.tile(at_rest(cell), (len(demand.rung), 1))
     swept = max(len(cell.holder) - 1, 0)
     for rough in (1.0, _ROUGH):
         steps = rough * settings.roll_step, rough * settings.table_step

@@ -18,7 +18,7 @@ from planner.base.errors import InputError
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
 from planner.problem.settings import STRATEGY_NAMES, ResolveSpec
-from planner.resolve.joint_path import JointPath, choose_turns, postures
+from planner.resolve.joint_path import JointPath, at_rest, choose_turns, postures
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.task import NozzleTask
 
@@ -95,7 +95,7 @@ def joint_paths(
             count = len(as_list(given, name, "one for each task"))
             if count != len(tasks):
                 raise InputError(f"has {count}, there are {len(tasks)} tasks", field=name)
-    rest = cell.home[list(cell.chosen)]
+    rest = at_rest(cell)
     asked = []
     for i, task in enumerate(tasks):  # all that is wrong is told before anything is computed
         n = len(task)

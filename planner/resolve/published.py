@@ -24,7 +24,7 @@ from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
-from planner.resolve.joint_path import JointPath, choose_turns, postures, turns_within, upright
+from planner.resolve.joint_path import JointPath, at_rest, choose_turns, postures, turns_within, upright
 from planner.toolpath.task import NozzleTask
 
 SAMPLES = 500  # of the whole print, on which angles are checked before its paths are made
@@ -169,7 +169,7 @@ def _home_roll(cell: Cell, task: NozzleTask, chosen: Array) -> Array:
 def _chosen(cell: Cell, task: NozzleTask, way: str, held: float) -> Array:
     """Chosen joints (n, k): at home but for the holder's last axis, at `held` [rad] from there or turning, and for tracks."""
     na, nh = len(cell.arm), len(cell.holder)
-    chosen = np.tile(cell.home[list(cell.chosen)], (len(task), 1))
+    chosen = np.tile(at_rest(cell), (len(task), 1))
     turns = nh > 0 and not cell.holder.slides[-1]
     if turns and way == "turning_table":
         chosen[:, nh - 1] = _turn_to_face(cell, task, chosen)

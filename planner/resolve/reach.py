@@ -165,6 +165,14 @@ def grid_scale(limits: Limits, joint: int) -> tuple[float, float]:
     return low, (high - low) / (2.0 * np.pi)
 
 
+def looked_at(cell: Cell) -> tuple[Array, Array]:
+    """Between which places the chosen joints (k) are looked at: half a turn about home, the whole range where they slide."""
+    limits, chosen = cell.limits, list(cell.chosen)
+    half = np.where(limits.turns[chosen], np.pi, limits.q_max[chosen] - limits.q_min[chosen])
+    home = cell.home[chosen]
+    return np.maximum(limits.q_min[chosen], home - half), np.minimum(limits.q_max[chosen], home + half)
+
+
 def swept_joint(cell: Cell, swept: int | None, held: Array) -> SweptJoint:
     """What turns where the chosen joint of this index is swept, or none, and the chosen joints' angles are held (r, k)."""
     limits, nh = cell.limits, len(cell.holder)

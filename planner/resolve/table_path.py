@@ -22,7 +22,7 @@ from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of
-from planner.resolve.joint_path import SampledTasks, leaned, least_cone, spread
+from planner.resolve.joint_path import SampledTasks, at_rest, leaned, least_cone, spread
 from planner.resolve.prices import (
     BRANCH_PRICE,
     DIP_PRICE,
@@ -101,7 +101,7 @@ def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) ->
     """
     nh = len(cell.holder)
     axes = (nh - 2, nh - 1)
-    home = cell.home[list(cell.chosen)]
+    home = at_rest(cell)
     cone = _CONE_ROOM * least_cone(demand.cones)
     step = float(np.clip(cone / _STEPS_IN_CONE, _FINEST, _COARSEST))
     lattice = _lattice(cell, axes, step, home)
