@@ -14,8 +14,9 @@ from solved import BED, write_small
 
 from planner.base.distribution import crew
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
+from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell
-from planner.collision.scene import obstacles_of
+from planner.collision.scene import NOTHING, obstacles_of
 from planner.place.command import PICTURE, TABLE, best_of, main
 from planner.place.rating import (
     COMFORT,
@@ -200,6 +201,42 @@ def test_out_of_reach_scores_nothing(bed: Problem, bed_tasks: tuple[NozzleTask, 
     away = moved_cell(cell, now, replace(now, x=now.x - 2.0 * reach(cell)))
     assert score(away, course(bed, bed_tasks), 0.05) == 0.0
     assert rate(away, course(bed, bed_tasks), 0.05).score == 0.0
+
+
+# --- arms that are carried ----------------------------------------------------------------------------------------
+
+PANEL = (PROBLEMS / "rail_panel.yaml").read_text(encoding="utf-8").replace("rail_panel.txt", "line.txt")
+
+
+def on_track(folder: Path, half_mm: float, *overrides: str) -> Problem:
+    """The panel's cell, an arm on a track of 3 m, with a line along the track."""
+    x = np.linspace(-half_mm, half_mm, 201)
+    (folder / "line.txt").write_text("".join(f"{at:.3f} 0 50 0 0 1\n" for at in x), encoding="utf-8")
+    (folder / "track.yaml").write_text(PANEL, encoding="utf-8")
+    return load_problem(folder / "track.yaml", overrides)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("speed", "follows"), [(0.4, True), (0.2, False)])
+def test_a_track_follows_as_fast_as_it_is(tmp_path: Path, speed: float, follows: bool) -> None:
+    """A step of the grid is 0.25 m of a line of 2.4 m, for which there is 0.96 s from rung to rung: 0.29 m/s."""
+    problem = on_track(tmp_path, 1200.0, "process.speed_mm_s=150", "resolve.rung_mm=20")
+    cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
+    velocity = cell.limits.velocity.copy()
+    velocity[0] = speed
+    at_speed = replace(cell, limits=replace(cell.limits, velocity=velocity))
+    assert (score(at_speed, course(problem, tasks), 0.05) > 0.0) == follows
+
+
+def test_metres_to_a_tracks_end_are_no_angle(tmp_path: Path) -> None:
+    problem = on_track(tmp_path, 100.0)
+    cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
+    paths = STRATEGIES["fixed"](cell, tasks, problem.resolve, NOTHING)
+    low, high = cell.limits.q_min.copy(), cell.limits.q_max.copy()
+    low[0], high[0] = paths[0].q[0, 0] - 1e-3, paths[0].q[0, 0] + 1e-3
+    assert score_of_paths(cell, paths) > 0.1
+    at_its_end = replace(cell, limits=replace(cell.limits, q_min=low, q_max=high))
+    assert score_of_paths(at_its_end, paths) == score_of_paths(cell, paths)
 
 
 BLOCK = (

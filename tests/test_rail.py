@@ -23,6 +23,7 @@ from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
+from planner.place.rating import course_of, score
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.register.finding import scene_of
@@ -510,6 +511,11 @@ def test_an_axis_whose_home_is_an_end_rests_near_it(at_an_end: Problem) -> None:
     found = _with_one_joint(cell, tasks, at_an_end.resolve, NOTHING, 1.0)
     (path,) = paths_of(cell, tasks, found)
     np.testing.assert_allclose(path.q[:, 1], cell.limits.room, atol=1e-5)
+
+
+def test_a_place_is_rated_with_an_axis_at_rest_near_its_end(at_an_end: Problem) -> None:
+    cell, tasks = build_cell(at_an_end), tasks_of(at_an_end, build_toolpath(at_an_end))
+    assert score(cell, course_of(tasks, 10, np.radians(30.0), at_an_end.resolve.rung), 0.05) > 0.1
 
 
 def test_all_of_a_range_is_looked_at_from_an_end(at_an_end: Problem) -> None:

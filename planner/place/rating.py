@@ -19,7 +19,7 @@ from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
 from planner.motion.timing.timed_path import bound_time
-from planner.resolve.joint_path import JointPath, SampledTasks, sample_tasks
+from planner.resolve.joint_path import JointPath, SampledTasks, at_rest, sample_tasks
 from planner.resolve.nodes import full_grid
 from planner.resolve.prices import SIGMA_COMFORT
 from planner.resolve.reach import (
@@ -27,6 +27,7 @@ from planner.resolve.reach import (
     arm_limits,
     arm_numbers,
     flange_pose,
+    grid_scale,
     inverse_in_part,
     lacks_clearance,
     nearest_turns,
@@ -68,6 +69,16 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
         time += weight[i]
         needed += weight[i] / np.sqrt(most)
     return time / needed if time > 0.0 else 1.0
+
+
+@inner_njit(error_model="numpy")
+def _least_angle(q, q_min, q_max, turns) -> float:
+    """The least angle [rad] of the joints that turn from the ends of their ranges, at a posture q (na)."""
+    least = np.inf
+    for j in range(q.size):
+        if turns[j]:
+            least = min(least, min(q[j] - q_min[j], q_max[j] - q[j]))
+    return least
 
 
 class MarginsAsked(NamedTuple):
@@ -159,13 +170,13 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                 for c in range(slots):
                     if not ok[c]:
                         continue
-                    away = nearest_turns(branch_q[c], middle, q_min, q_max, limits.turns)
-                    wrist = np.inf
+                    room_left = nearest_turns(branch_q[c], middle, q_min, q_max, limits.turns)
+                    away, wrist = _least_angle(branch_q[c], q_min, q_max, limits.turns), np.inf
                     if asked.wrist == SPHERICAL:
                         wrist = abs(branch_q[c, 4])
                     elif asked.wrist == OFFSET:
                         wrist = np.arcsin(abs(np.sin(branch_q[c, 4] - asked.straight)))
-                    if away < limits.room or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
+                    if room_left < limits.room or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
                     pair = c // 2 if kind == SPHERICAL_WRIST else c
@@ -404,7 +415,7 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
         q = path.q[laid]
         jacobians = cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
         sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
-        limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min())
+        limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q)[:, cell.limits.turns].min())
         wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if cell.straightens else np.inf
         least = min(least, float((np.array([sigma, limit, wrist]) / COMFORT).min()))
         ideal += float(task.s[task.last] - task.s[task.first]) / task.speed
@@ -421,7 +432,7 @@ def best_worst(
     speed = np.ones(na + 1)
     speed[:na] = limits.velocity[:na]
     if joint is not None:
-        speed[na] = limits.velocity[joint]
+        speed[na] = limits.velocity[joint] / grid_scale(limits, joint)[1]
     wraps = (limits.q_max - limits.q_min)[:na] > TURN
     margins = _margins(terms, min_sigma)
     came = np.full(margins.shape, 4, dtype=np.int8)
@@ -449,7 +460,7 @@ def _postures(
     if demand.cones.tilt > 0.0:  # a lean may give the head its clearance from part and print
         obstacles = obstacles.but_head_on_part
     r, na, nh = len(demand.rung), len(cell.arm), len(cell.holder)
-    held = np.tile(cell.home[list(cell.chosen)], (r, 1))
+    held = np.tile(at_rest(cell), (r, 1))
     index = max(nh - 1, 0) if cell.chosen else None
     grid = full_grid(
         demand, cell.inverse.branch_count, course.roll_step, course.holder_step, index is not None, index, held
