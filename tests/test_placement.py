@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from solved import BED, write_small
+from test_nozzles import TWO, two_nozzles
 
 from planner.base.distribution import crew
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
@@ -203,7 +204,7 @@ def test_out_of_reach_scores_nothing(bed: Problem, bed_tasks: tuple[NozzleTask, 
     assert rate(away, course(bed, bed_tasks), 0.05).score == 0.0
 
 
-# --- arms that are carried ----------------------------------------------------------------------------------------
+# --- arms that are carried, and several nozzles ---------------------------------------------------------------------
 
 PANEL = (PROBLEMS / "rail_panel.yaml").read_text(encoding="utf-8").replace("rail_panel.txt", "line.txt")
 
@@ -237,6 +238,32 @@ def test_metres_to_a_tracks_end_are_no_angle(tmp_path: Path) -> None:
     assert score_of_paths(cell, paths) > 0.1
     at_its_end = replace(cell, limits=replace(cell.limits, q_min=low, q_max=high))
     assert score_of_paths(at_its_end, paths) == score_of_paths(cell, paths)
+
+
+def test_each_nozzle_has_its_own_beads_to_reach(tmp_path: Path) -> None:
+    problem = load_problem(write_small(tmp_path, *TWO))
+    cell = build_cell(problem)
+    site = site_of(StudyRequest(str(problem.file)), problem, cell, axes_of(problem, cell, place_of(problem), None, []))
+    guides = tuple(
+        replace(task, material=material) for task, material in zip(site.guides, ("pla", "pva", "pla"), strict=True)
+    )
+    site = replace(site, guides=guides, around=surroundings("greedy", problem, cell, site.toolpath))
+    first, second = site.coarse
+    assert (first.nozzle, second.nozzle) == (0, 1)
+    each = score(cell, first, 0.05), score(cell, second, 0.05)
+    assert each[1] == score(cell.with_nozzle(1), replace(second, nozzle=1), 0.05)
+    assert each[1] != score(cell, replace(second, nozzle=0), 0.05)
+    assert site.scored(site.coarse, site.now, 0.0) == min(each)
+    assert site.rated(cell).score <= rate(cell, site.fine[1], 0.05).score
+
+
+def test_paths_are_scored_by_the_nozzle_that_lays_them() -> None:
+    plan = two_nozzles()
+    mine = [path for path in plan.paths if path.task.material == "pva"]
+    assert mine
+    own = plan.cell.with_nozzle(1)
+    assert score_of_paths(plan.cell, mine) == score_of_paths(replace(own, nozzles=()), mine)
+    assert score_of_paths(plan.cell, mine) != score_of_paths(replace(plan.cell, nozzles=()), mine)
 
 
 BLOCK = (

@@ -19,6 +19,7 @@ from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_
 from planner.collision.scene import NOTHING, Obstacles
 from planner.collision.table import workspace_for
 from planner.motion.timing.timed_path import bound_time
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import JointPath, SampledTasks, at_rest, sample_tasks
 from planner.resolve.nodes import full_grid
 from planner.resolve.prices import SIGMA_COMFORT
@@ -299,6 +300,7 @@ class Course:
     roll_step, holder_step   of the grid [rad]
     lacking (r, rolls)   at which rolls the head lacks clearance from part and print, wherever the part stands: 1 or 0, and
                          -1 where nobody has asked yet; of one cell's obstacles, which score and rate must be given
+    nozzle             which of several nozzles follows it
     """
 
     demand: SampledTasks
@@ -307,6 +309,7 @@ class Course:
     roll_step: float
     holder_step: float
     lacking: NDArray[np.int8]
+    nozzle: int = 0
 
     @property
     def at_probes(self) -> Course:
@@ -334,6 +337,14 @@ class Rating:
     wrist: float
     share: float
     place: tuple[float, float, float]
+
+
+def courses_of(cell: Cell, tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: float) -> tuple[Course, ...]:
+    """The course of each nozzle that is used, see `course_of`."""
+    return tuple(
+        replace(course_of([tasks[i] for i in which], rungs, step, spacing), nozzle=own.in_use)
+        for own, which in nozzles_of(cell, tasks)
+    )
 
 
 def course_of(tasks: Sequence[NozzleTask], rungs: int, step: float, spacing: float) -> Course:
@@ -372,6 +383,7 @@ def score(cell: Cell, course: Course, min_sigma: float, floor: float = 0.0, obst
     The higher the floor, the sooner it is known that a placement is not above it. Postures that lack clearance from
     obstacles do not count; these are given for any place of the part.
     """
+    cell = cell.with_nozzle(course.nozzle)
     free = _score(cell, course, min_sigma, floor, NOTHING)
     if free <= floor or not obstacles.any:
         return free
@@ -394,6 +406,7 @@ def _score(cell: Cell, course: Course, min_sigma: float, floor: float, obstacles
 
 def rate(cell: Cell, course: Course, min_sigma: float, obstacles: Obstacles = NOTHING) -> Rating:
     """The score of `score`, and the worst of each term along the way that has it."""
+    cell = cell.with_nozzle(course.nozzle)
     above = (1.0 - 1e-6) * score(cell, course, min_sigma, 0.0, obstacles)
     worst, terms, picked = best_worst(cell, course, min_sigma, above, obstacles.of(cell))
     if worst.min() <= above:
@@ -413,7 +426,7 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
         task = path.task
         laid = slice(task.first, task.last + 1)
         q = path.q[laid]
-        jacobians = cell.arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
+        jacobians = cell.at(task.material).arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
         sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
         limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q)[:, cell.limits.turns].min())
         wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if cell.straightens else np.inf

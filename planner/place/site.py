@@ -14,7 +14,7 @@ from planner.base.errors import InputError, nearest_name
 from planner.cell.cell import Cell, build_cell, rigid_inverse, translation
 from planner.cell.kinematics.chain import Chain
 from planner.collision.scene import NOTHING, Obstacles, obstacles_of
-from planner.place.rating import Course, course_of, score
+from planner.place.rating import Course, Rating, courses_of, rate, score
 from planner.place.search import Axis, Point
 from planner.planning.context import check_same, digest_of
 from planner.problem import Problem, load_problem
@@ -262,14 +262,14 @@ class Site:
     guides: tuple[NozzleTask, ...]
 
     @cached_property
-    def coarse(self) -> Course:
-        """The path as lattice and map see it."""
-        return course_of(self.guides, *COARSE, self.problem.resolve.rung)
+    def coarse(self) -> tuple[Course, ...]:
+        """The path of each nozzle as lattice and map see it."""
+        return courses_of(self.cell, self.guides, *COARSE, self.problem.resolve.rung)
 
     @cached_property
-    def fine(self) -> Course:
-        """The path as it is seen where a place is polished."""
-        return course_of(self.guides, *FINE[len(self.cell.chosen) > 0], self.problem.resolve.rung)
+    def fine(self) -> tuple[Course, ...]:
+        """The path of each nozzle as it is seen where a place is polished."""
+        return courses_of(self.cell, self.guides, *FINE[len(self.cell.chosen) > 0], self.problem.resolve.rung)
 
     @cached_property
     def digest(self) -> str:
@@ -284,12 +284,18 @@ class Site:
         """The cell with the part there."""
         return moved_cell(self.cell, self.now, self.at(point))
 
-    def scored(self, course: Course, place: PartPlace, floor: float) -> float:
-        """A place's score, 0 where it is not above a floor."""
+    def scored(self, courses: Sequence[Course], place: PartPlace, floor: float) -> float:
+        """A place's score, the least of all nozzles', 0 where it is not above a floor."""
         moved = moved_cell(self.cell, self.now, place)
-        if _nearest_to_axis(moved, course) < FOOT_SHARE * reach(self.cell) and place != self.now:
+        if _at_the_foot(moved, courses) and place != self.now:
             return 0.0
-        return score(moved, course, self.problem.resolve.min_sigma, floor, self.around.nearly)
+        min_sigma, nearly = self.problem.resolve.min_sigma, self.around.nearly
+        return min(score(moved, course, min_sigma, floor, nearly) for course in courses)
+
+    def rated(self, cell: Cell) -> Rating:
+        """The rating of the cell with the part at a place, for the nozzle whose score is the least."""
+        min_sigma, nearly = self.problem.resolve.min_sigma, self.around.nearly
+        return min((rate(cell, course, min_sigma, nearly) for course in self.fine), key=lambda rating: rating.score)
 
 
 def site_of(asked: StudyRequest, problem: Problem, cell: Cell, axes: Sequence[Axis]) -> Site:
@@ -325,9 +331,10 @@ def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath
     return Surroundings(nearly, nearly.of)
 
 
-def _nearest_to_axis(cell: Cell, course: Course) -> float:
-    """Least horizontal distance [m] of the path, and of what carries it, from the arm's first axis; holder at home."""
+def _at_the_foot(cell: Cell, courses: Sequence[Course]) -> bool:
+    """Whether the path, or what carries it, comes to where the arm's foot stands, holder at home."""
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
-    tips = course.demand.tip[course.demand.rung] @ T_world_part[:3, :3].T + T_world_part[:3, 3]
-    points = np.vstack([tips, cell.T_world_holder_base[:3, 3]])
-    return float(np.linalg.norm(points[:, :2] - cell.T_world_base[:2, 3], axis=1).min())
+    tips = np.vstack([course.demand.tip[course.demand.rung] for course in courses])
+    points = np.vstack([tips @ T_world_part[:3, :3].T + T_world_part[:3, 3], cell.T_world_holder_base[:3, 3]])
+    nearest = np.linalg.norm(points[:, :2] - cell.T_world_base[:2, 3], axis=1).min()
+    return bool(nearest < FOOT_SHARE * reach(cell))

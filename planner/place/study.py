@@ -14,7 +14,7 @@ from planner.base.arrays import Array
 from planner.base.distribution import Spread
 from planner.base.errors import PlannerError, Refusal
 from planner.cell.cell import Cell
-from planner.place.rating import COMFORT, Rating, rate, score_of_paths
+from planner.place.rating import COMFORT, Rating, score_of_paths
 from planner.place.search import Axis, Point, ScoredPoint, lattice, one_by_one, polish, well_apart
 from planner.place.site import ANGLES, PartPlace, Site, StudyRequest, changed_fields, own_site, reach
 from planner.planning.pipeline import try_out
@@ -194,15 +194,14 @@ def study(site: Site, crew: Crew, count: int, progress: Progress) -> Study:
     side = [min(_MAP[table], max(2 * axis.count, 2)) for axis in axes[:2]]
     with progress("map", len(planes) * math.prod(side)) as tick:
         slices = tuple(_slice(site, crew, title, others, side, tick) for title, others in planes)
-    min_sigma, nearly = site.problem.resolve.min_sigma, site.around.nearly
     return Study(
         axes,
         now,
-        rate(cell, site.fine, min_sigma, nearly),
+        site.rated(cell),
         tuple((site.at(each.point), each.score) for each in seen),
         tuple((site.at(each.point), each.score) for each in resolved),
         slices,
-        tuple((site.at(each.point), rate(site.moved(each.point), site.fine, min_sigma, nearly)) for each in best),
+        tuple((site.at(each.point), site.rated(site.moved(each.point))) for each in best),
     )
 
 
