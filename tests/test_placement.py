@@ -240,6 +240,15 @@ def test_metres_to_a_tracks_end_are_no_angle(tmp_path: Path) -> None:
     assert score_of_paths(at_its_end, paths) == score_of_paths(cell, paths)
 
 
+def test_a_carried_arm_drives_away_from_where_its_foot_is_at_zero(tmp_path: Path) -> None:
+    problem = on_track(tmp_path, 100.0)
+    cell = build_cell(problem)
+    site = site_of(StudyRequest(str(problem.file)), problem, cell, axes_of(problem, cell, place_of(problem), None, []))
+    here = replace(site.now, x=0.0, y=0.4)
+    assert np.hypot(here.x, here.y) < 0.25 * reach(cell)
+    assert site.scored(site.coarse, here, 0.0) > 0.0
+
+
 def test_each_nozzle_has_its_own_beads_to_reach(tmp_path: Path) -> None:
     problem = load_problem(write_small(tmp_path, *TWO))
     cell = build_cell(problem)

@@ -262,7 +262,8 @@ def _apart(axes: Sequence[Axis], a: Point, b: Point, far: float) -> bool:
 
 def _hints(axes: Sequence[Axis], cell: Cell) -> tuple[str, ...]:
     base = cell.T_world_base[:3, 3] * 1e3
+    foot = "its foot, wherever that is carried" if cell.rails else f"{base[0]:.0f} {base[1]:.0f} {base[2]:.0f} mm"
     return (
-        f"a range nearer to the arm, whose nozzle reaches {reach(cell) * 1e3:.0f} mm at most "
-        f"around {base[0]:.0f} {base[1]:.0f} {base[2]:.0f} mm (searched: {', '.join(axis.name for axis in axes)})",
+        f"a range nearer to the arm, whose nozzle reaches {reach(cell) * 1e3:.0f} mm at most around {foot} "
+        f"(searched: {', '.join(axis.name for axis in axes)})",
     )
