@@ -12,6 +12,7 @@ from planner.base.errors import Refusal
 from planner.base.geometry import angles_between
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
+from planner.planning import pipeline
 from planner.planning.context import PlanningContext, context_of
 from planner.planning.leaning import SHARE, best_leans, cheapest_leans, leaned_tasks, leaning
 from planner.planning.pipeline import load, solve
@@ -21,6 +22,7 @@ from planner.resolve.joint_path import flange_poses
 from planner.resolve.ladder import ladder
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.finer import sampled_finer
 
 # The tip stands on the flange's axis: with the nozzle upright joint 5 has one angle at each place of a line away from the
 # arm, up to 46.4 degrees in its middle, whatever the roll.
@@ -62,6 +64,23 @@ def test_what_an_upright_nozzle_cannot_print_is_printed_with_one_that_leans(tmp_
     assert note.startswith("the nozzle leans within its cone, as an upright one has no way: bead 0, waypoint")
     (check,) = (check for check in plan.checks if check.name == "axis near the file's normals")
     assert 1.0 < check.worst <= check.limit == lean
+
+
+@pytest.mark.slow
+def test_a_nozzle_that_leans_leans_on_finer_samples_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An upright one has no way there either."""
+    problem = problem_of(tmp_path, f"{LEAN}=10")
+    n = len(build_toolpath(problem).beads[0].s)
+    asked: list[PlanningContext] = []
+
+    def once(given: PlanningContext, *_: object) -> PlanningContext | None:
+        asked.append(given)
+        return given.along(sampled_finer(given.toolpath, {0: np.array([0.15])})) if len(asked) == 1 else None
+
+    monkeypatch.setattr(pipeline, "with_finer_samples", once)
+    plan = solve(problem, baseline=False, draft=True)
+    assert plan.verified and len(plan.toolpath.beads[0].s) > n
+    assert len(asked) == 2 and all(given.leans and given.draft for given in asked)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -29,6 +29,7 @@ class PlanningContext:
 
     tasks       of all beads but those that a scan found printed; of these only those from `first_bead` on are laid
     terms       a user's own, of the refinement's price
+    leans       the nozzle leans in the tasks, as `leaning` has it
     draft       a plan that is verified is taken as it is, whatever other strategies would make of it
     start       the ladder's paths of all tasks, where a search of just this print has found them already
     """
@@ -41,6 +42,7 @@ class PlanningContext:
     obstacles: Obstacles
     first_bead: int
     terms: tuple[Term, ...] = ()
+    leans: bool = False
     draft: bool = False
     start: tuple[JointPath, ...] = ()
 
@@ -53,6 +55,10 @@ class PlanningContext:
     def laid(self) -> slice:
         """Which of the tasks, and of the paths that strategies find for them, are laid."""
         return slice(self.first_bead - self.printed, None)
+
+    def along(self, toolpath: Toolpath) -> PlanningContext:
+        """The same print with other beads, runs or samples, its nozzle on the surface; raises InputError as `context_of`."""
+        return replace(context_of(self.problem, self.cell, toolpath, self.first_bead, self.terms), draft=self.draft)
 
 
 def context_of(

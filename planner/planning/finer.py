@@ -6,7 +6,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.plan import Trajectory
-from planner.planning.context import PlanningContext, context_of
+from planner.planning.context import PlanningContext
 from planner.toolpath.finer import sampled_finer
 from planner.verify.verdict import ON_PATH, Report
 
@@ -45,5 +45,4 @@ def with_finer_samples(
     for bead in beyond.tolist():
         at = np.flatnonzero((trajectory.bead == bead) & (report.series["off_the_path"] > _NEAR))
         places[bead] = trajectory.s[at]
-    toolpath = sampled_finer(given.toolpath, places)
-    return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)
+    return given.along(sampled_finer(given.toolpath, places))

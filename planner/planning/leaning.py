@@ -43,22 +43,26 @@ def leaning(given: PlanningContext, refusal: Refusal, stages: Stages) -> Plannin
     None where the nozzle may not lean, where cones about the vertical say how it does, and where the print is large.
     refusal: of the print with the nozzle on the surface
     """
-    cell, tasks, toolpath = given.cell, given.tasks, given.toolpath
-    cones = tasks[0].cones
+    toolpath, cones = given.toolpath, given.tasks[0].cones
     large = sum(len(bead.s) for bead in toolpath.beads) > MOST_WAYPOINTS
-    if cones.tilt == 0.0 or cones.nozzle_gravity < np.pi or binds_table(cell, cones) or large:
+    if cones.tilt == 0.0 or cones.nozzle_gravity < np.pi or binds_table(given.cell, cones) or large:
         return None
+    note = f"the nozzle leans within its cone, as an upright one has no way: {refusal}"
+    return with_leans(replace(given, toolpath=replace(toolpath, notes=(*toolpath.notes, note))), stages)
+
+
+def with_leans(given: PlanningContext, stages: Stages) -> PlanningContext | None:
+    """The same print searched about a nozzle that leans within its cone; None if no search finds a way."""
     with stages.stage("resolve"):
         tilts = best_leans(given)
         if tilts is None:
             return None
-        leaned = leaned_tasks(tasks, tilts)
+        leaned = leaned_tasks(given.tasks, tilts)
         try:
-            start = ladder(cell, leaned, given.problem.resolve, given.obstacles)
+            start = ladder(given.cell, leaned, given.problem.resolve, given.obstacles)
         except Refusal:
             return None
-    note = f"the nozzle leans within its cone, as an upright one has no way: {refusal}"
-    return replace(given, tasks=leaned, start=start, toolpath=replace(toolpath, notes=(*toolpath.notes, note)))
+    return replace(given, tasks=leaned, start=start, leans=True)
 
 
 def best_leans(given: PlanningContext) -> list[Array] | None:

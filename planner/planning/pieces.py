@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from planner.planning.context import PlanningContext, context_of
+from planner.planning.context import PlanningContext
 from planner.resolve.ladder import MOST_NODES, coarse_nodes, first_of_each_name, runs_backwards
 from planner.resolve.pauses import Pause, pauses_of
 from planner.toolpath.split import split_toolpath
@@ -35,7 +35,7 @@ def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | Non
     toolpath = split_toolpath(given.toolpath, places)
     if process.fibre is not None and min(bead.length for bead in toolpath.beads) < process.fibre.least_length:
         return None
-    return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)
+    return given.along(toolpath)
 
 
 def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: float) -> tuple[Pause, ...]:

@@ -51,7 +51,7 @@ from planner.planning.distributed import sqp_over
 from planner.planning.estimate import TOLD_FROM, check_memory, estimate
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.joint_ends import nearer_to_ends, noted
-from planner.planning.leaning import leaning
+from planner.planning.leaning import leaning, with_leans
 from planner.planning.options import DEFAULT_DT, MAX_DT, MIN_DT
 from planner.planning.pieces import MORE_ROOM, in_pieces
 from planner.planning.robustness import assess_robustness
@@ -451,6 +451,8 @@ def _planned(
         refusal = none
     if own is not None and rounds:
         finer = with_finer_samples(given, own.trajectory, own.report, off)
+        if finer is not None and given.leans:
+            finer = with_leans(finer, stages)
         if finer is not None:
             try:  # other processes know the samples as they were drawn, so nothing is spread over them
                 before = worst_off(own.trajectory, own.report)

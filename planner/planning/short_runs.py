@@ -12,7 +12,7 @@ from dataclasses import replace
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.plan import Trajectory
-from planner.planning.context import PlanningContext, context_of
+from planner.planning.context import PlanningContext
 from planner.problem import Problem
 from planner.resolve.ladder import ladder
 from planner.verify.verdict import Report
@@ -72,7 +72,7 @@ def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], n
     toolpath = given.toolpath
     beads = tuple(replace(bead, short_runs=short[i]) for i, bead in enumerate(toolpath.beads))
     toolpath = replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
-    return context_of(given.problem, given.cell, toolpath, given.first_bead, given.terms)
+    return given.along(toolpath)
 
 
 def _stuck(given: PlanningContext, stages: Stages) -> Refusal | None:
