@@ -8,6 +8,7 @@ import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,6 +31,7 @@ from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
+from planner.resolve.joint_path import JointPath
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -224,6 +226,21 @@ def test_names_that_are_cut_keep_the_number() -> None:
     name = module_name("a_very_long_name_of_a_problem_that_goes_on_from_12")
     assert len(name) == LONGEST_NAME and name.endswith("From12") and name.startswith("AVeryLong")
     assert module_name("from_5") == "From5"
+
+
+@pytest.mark.slow
+def test_a_rest_with_beads_that_may_be_cut_is_searched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[str] = []
+
+    def ladder(*given: Any) -> tuple[JointPath, ...]:
+        searched.append("ladder")
+        return STRATEGIES["ladder"](*given)
+
+    monkeypatch.setitem(STRATEGIES, "counted", ladder)
+    problem = load_problem(write_small(tmp_path), ["process.split_beads=true"])
+    rest = solve(problem, "counted", first_bead=1, baseline=False)
+    assert rest.verified and rest.first_bead == 1
+    assert searched == ["ladder"]
 
 
 @pytest.mark.parametrize("first_bead", [BEADS, -1])

@@ -433,10 +433,8 @@ def _planned(
 
     if given.first_bead > given.printed:
         begun = replace(given, first_bead=given.printed)
-        whole, taken, _ = _planned(strategy, begun, dt, stages, shared, over, rounds)
-        given = replace(whole, first_bead=given.first_bead)
-        resumed = along(taken.by, taken.paths, stages)
-        return given, resumed, maps_of(resumed)
+        whole = _planned(strategy, begun, dt, stages, shared, over, rounds)
+        return _rest_of(strategy, whole, given.first_bead, dt, stages, shared)
     own, refusal, mapped = None, None, None
     try:
         paths, start = _paths_of(strategy, given, stages, over)
@@ -473,6 +471,14 @@ def _planned(
     return given, best, mapped
 
 
+def _rest_of(strategy: str, whole: Planned, first_bead: int, dt: float, stages: Stages, shared: bool) -> Planned:
+    """The rest of a print that was planned whole, along the same paths."""
+    given, taken = replace(whole[0], first_bead=first_bead), whole[1]
+    planned = PlannedPaths(taken.by, taken.paths, *_plan_along(taken.paths, strategy, given, dt, stages, shared))
+    maps = roll_maps(given.cell, taken.paths[given.laid], given.obstacles, given.problem.resolve.min_sigma)
+    return given, planned, maps
+
+
 def _planned_in_pieces(
     strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, first_bead: int
 ) -> Planned:
@@ -501,8 +507,7 @@ def _planned_in_pieces(
         raise refusal or RuntimeError("no plan and no refusal")
     first_bead = _above_what_is_printed(given.problem, whole[0].toolpath, first_bead)
     if first_bead != whole[0].first_bead:
-        rest = replace(whole[0], first_bead=_within(first_bead, whole[0].toolpath))
-        whole = _planned(strategy, rest, dt, stages, shared, rounds=0)
+        whole = _rest_of(strategy, whole, _within(first_bead, whole[0].toolpath), dt, stages, shared)
     return whole
 
 
