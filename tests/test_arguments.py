@@ -51,6 +51,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "problems": (lambda: solve_all(any_), "problems: must be a list of problems, not nothing"),
     "done": (lambda: solve_all([], done=3), "done: cannot be called"),  # type: ignore[arg-type]
     "dt of all": (lambda: solve_all([], dt="a"), "dt: must be a number"),  # type: ignore[arg-type]
+    "terms of all": (lambda: solve_all([], terms=any_), "terms: must be a list of terms, not nothing"),
     "cell": (lambda: joint_paths(any_, [], []), "cell: must be a Cell, not nothing"),
     "tasks": (lambda: joint_paths(small_plan().cell, 3, []), "tasks: must be a list of tasks"),  # type: ignore[arg-type]
     "a task": (lambda: joint_paths(small_plan().cell, [3], [0]), "tasks[0]: must be a NozzleTask, not of type int"),  # type: ignore[list-item]

@@ -116,6 +116,7 @@ Spoil = Callable[[Sequence[JointPath]], Any]
         (lambda paths: [*paths[:2], replace(paths[2], roll=paths[2].roll[1:])], "path 2: roll has shape"),
         (lambda paths: [replace(path, tilt=0.0) for path in paths], "path 0: tilt has shape ()"),
         (lambda paths: [replace(path, q=path.q * np.nan) for path in paths], "path 0: q[0] is not finite"),
+        (lambda paths: [replace(path, branch=9) for path in paths], "path 0: there is no branch 9 (0 to 7)"),
     ],
 )
 def test_what_it_answers_wrongly_is_said(spoil: Spoil, message: str) -> None:
@@ -151,4 +152,6 @@ def test_one_number_serves_all_samples() -> None:
     (one,) = joint_paths(cell, tasks, [0.5])
     (each,) = joint_paths(cell, tasks, [np.full(len(tasks[0]), 0.5)], tilts=[np.zeros((len(tasks[0]), 2))])
     assert (one.q == each.q).all() and one.branch == each.branch
+    (once,) = joint_paths(cell, tasks, iter([0.5]), branches=iter([one.branch]))  # type: ignore[arg-type]
+    assert (once.q == one.q).all()
     assert joint_paths(cell, (), []) == ()

@@ -182,6 +182,6 @@ def test_terms_that_nothing_would_ask_are_refused() -> None:
 @pytest.mark.slow
 def test_a_plan_names_the_terms_that_it_was_made_with() -> None:
     term = on_the_page("KeepAway")("joint_5", 1.5, 5.0)
-    plan = solve("peer_cap", terms=[term], baseline=False)
+    plan = solve("peer_cap", terms=iter([term]), baseline=False)  # type: ignore[arg-type]
     assert plan.settings["terms"] == ["keep_away"]
     assert plan.verified

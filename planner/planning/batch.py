@@ -100,6 +100,7 @@ def solve_all(
     if isinstance(problems, (str, Path, Problem)):
         raise InputError("must be a list of problems", field="problems", hint="solve takes one of them")
     given = as_list(problems, "problems", "problems")
+    terms = as_list(terms, "terms", "terms")
     as_number(dt, "dt")
     if done is not None:
         check_callable(done, "done")
@@ -127,7 +128,7 @@ def solve_all(
         shown = bar.add_task("solved", total=len(given))
         files = [Path(folder) / f"{i}.npz" if jobs > 1 else None for i in range(len(given))]
         items = [
-            _Item(problem, strategy, dt, tolerance, baseline, tuple(terms), file)
+            _Item(problem, strategy, dt, tolerance, baseline, terms, file)
             for problem, file in zip(given, files, strict=True)
         ]
         for i, outcome in spread(_solved, items, jobs):

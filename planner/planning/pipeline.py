@@ -155,6 +155,7 @@ def solve(
         raise InputError(f"{dt!r} is not a time between {MIN_DT} and {MAX_DT} s", field="dt")
     if problem.from_arrays and over is not None:
         raise InputError("other processes cannot see waypoints from arrays", field="over", hint="leave it out")
+    terms = as_list(terms, "terms", "terms")
     own = _own(terms, strategy, over)
     stages = stages or Stages()
     with stages.stage("load"):
@@ -288,7 +289,6 @@ def _known(strategy: str) -> str:
 
 def _own(terms: Sequence[OwnTerm], strategy: str, over: Spread | None) -> tuple[Own, ...]:
     """A user's terms. Raises InputError for what is no term, and where nothing would ask them."""
-    terms = as_list(terms, "terms", "terms")
     if terms and strategy != DEFAULT:
         raise InputError(f"strategy {strategy} refines nothing", field="terms", hint=f"strategy {DEFAULT} does")
     if over is not None:

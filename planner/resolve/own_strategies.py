@@ -90,11 +90,10 @@ def joint_paths(
         return ()
     na, k = len(cell.arm), len(cell.chosen)
     home = int(cell.inverse.branches(cell.home[None, :na])[0])
-    for name, given in (("rolls", rolls), ("tilts", tilts), ("chosen", chosen), ("branches", branches)):
-        if given is not None or name == "rolls":
-            count = len(as_list(given, name, "one for each task"))
-            if count != len(tasks):
-                raise InputError(f"has {count}, there are {len(tasks)} tasks", field=name)
+    rolls = _for_each("rolls", rolls, tasks)
+    tilts = None if tilts is None else _for_each("tilts", tilts, tasks)
+    chosen = None if chosen is None else _for_each("chosen", chosen, tasks)
+    branches = None if branches is None else _for_each("branches", branches, tasks)
     rest = at_rest(cell)
     asked = []
     for i, task in enumerate(tasks):  # all that is wrong is told before anything is computed
@@ -102,7 +101,7 @@ def joint_paths(
         roll = _broadcast(f"rolls[{i}]", rolls[i], ((n,), ()), (n,))
         tilt = np.zeros((n, 2)) if tilts is None else _broadcast(f"tilts[{i}]", tilts[i], ((n, 2),), (n, 2))
         free = _broadcast(f"chosen[{i}]", rest if chosen is None else chosen[i], ((n, k), (k,)), (n, k))
-        asked.append((task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], i)))
+        asked.append((task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], f"branches[{i}]")))
     paths = [
         JointPath(task, roll, tilt, postures(cell, task, roll, free, branch, tilt), branch)
         for task, roll, tilt, free, branch in asked
@@ -110,10 +109,18 @@ def joint_paths(
     return choose_turns(cell, paths)
 
 
-def _branch(cell: Cell, value: object, i: int) -> int:
-    branch, most = as_index(value, f"branches[{i}]"), cell.inverse.branch_count - 1
+def _for_each(name: str, given: object, tasks: Sequence[NozzleTask]) -> tuple[Any, ...]:
+    """What was given for each task. Raises InputError for another number of them."""
+    items = as_list(given, name, "one for each task")
+    if len(items) != len(tasks):
+        raise InputError(f"has {len(items)}, there are {len(tasks)} tasks", field=name)
+    return items
+
+
+def _branch(cell: Cell, value: object, field: str) -> int:
+    branch, most = as_index(value, field), cell.inverse.branch_count - 1
     if not 0 <= branch <= most:
-        raise InputError(f"there is no branch {branch}", field=f"branches[{i}]", hint=f"0 to {most}")
+        raise InputError(f"there is no branch {branch}", field=field, hint=f"0 to {most}")
     return branch
 
 
@@ -146,6 +153,7 @@ def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -
             raise InputError(f"path {i} is of type {type(path).__name__}", field=field, hint=hint)
         if path.task is not task:
             raise InputError(f"path {i} is of another task than task {i}", field=field)
+        _branch(cell, path.branch, f"{field}: path {i}")
         for part, shape in (("q", (len(task), joints)), ("roll", (len(task),)), ("tilt", (len(task), 2))):
             values = getattr(path, part)
             if not isinstance(values, np.ndarray) or values.shape != shape:
