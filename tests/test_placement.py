@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import Normalize
+from matplotlib.contour import ContourSet
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from solved import BED, write_small
 from test_nozzles import TWO, two_nozzles
@@ -18,7 +21,7 @@ from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, In
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, obstacles_of
-from planner.place.command import PICTURE, TABLE, best_of, main
+from planner.place.command import PICTURE, TABLE, _field, best_of, main
 from planner.place.rating import (
     COMFORT,
     Course,
@@ -43,7 +46,7 @@ from planner.place.site import (
     site_of,
     surroundings,
 )
-from planner.place.study import PlaceOutcome, crew_of
+from planner.place.study import PlaceOutcome, Slice, crew_of
 from planner.planning.pipeline import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import changed_text, write_changed
@@ -552,6 +555,15 @@ def test_command_draws_the_map_alone(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main([str(problem), *options]) == EXIT_VERIFIED
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["manifest.json", TABLE, PICTURE]
     assert "as it stands" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("least", "lines"), [(1.2, 0), (0.8, 1)])
+def test_the_line_of_comfort_is_drawn_where_there_is_one(least: float, lines: int) -> None:
+    panel = Figure().subplots()
+    scores = np.array([[least, 1.5], [1.5, 1.6]])
+    u = np.array([0.0, 0.1])
+    _field(panel, Slice("all", PartPlace(0.0, 0.0, 0.0, 0.0), u, u, scores), ("x", "y"), Normalize(0.0, 2.0))
+    assert sum(isinstance(each, ContourSet) for each in panel.get_children()) == lines
 
 
 def test_command_says_that_nothing_is_in_reach(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

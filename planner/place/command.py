@@ -113,7 +113,7 @@ def _field(panel: Axes, piece: Slice, names: Sequence[str], norm: Normalize) -> 
     panel.set_facecolor(_UNREACHABLE)
     panel.patch.set(hatch="///", edgecolor="#9a9a9a")
     drawn = panel.pcolormesh(u, v, scores, cmap=COLOURS, norm=norm, shading="nearest")
-    if piece.scores.max() > 1.0 and min(piece.scores.shape) > 1:
+    if piece.scores.min() < 1.0 < piece.scores.max() and min(piece.scores.shape) > 1:
         panel.contour(u, v, piece.scores.T, levels=[1.0], colors="white", linestyles="dashed", linewidths=1.0)
     if names[0] not in ANGLES and names[1] not in ANGLES:
         panel.set_aspect("equal")
