@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 from planner.planning.check_command import examine, is_quick, main
+from planner.planning.estimate import estimate
+from planner.planning.options import DEFAULT_DT
 from planner.problem import load_problem, shipped_problems
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -62,6 +64,14 @@ def test_what_a_problem_says(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 def test_all_layers_when_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(own(tmp_path)), "--toolpath", "--set", "process.speed_mm_s=20"]) == 0
     assert "4 beads, 0.32 m, 16 s at 20 mm/s, in 4 layers" in capsys.readouterr().out
+
+
+def test_the_time_to_plan_is_that_at_the_speeds_of_beads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    speeds = "process.speeds=[{speed_mm_s: 1}]"
+    assert main([str(own(tmp_path)), "--toolpath", "--set", speeds]) == 0
+    work = examine(load_problem(own(tmp_path), [speeds]), True).work
+    assert work is not None
+    assert f"to plan them takes {estimate(work, 1e-3, DEFAULT_DT).words}" in capsys.readouterr().out
 
 
 def test_a_bead_too_short_for_its_fibre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -250,19 +250,22 @@ def _run(options: argparse.Namespace) -> int:
         return _told(found.mistakes)
     from planner.problem.describe import lines_of
 
-    print("\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer, _expected(problem, found.work))))
+    print("\n".join(lines_of(problem, found.cell, found.toolpath, found.first_layer, _expected(problem, found))))
     return EXIT_VERIFIED
 
 
-def _expected(problem: Problem, work: Workload | None) -> str | None:
+def _expected(problem: Problem, found: Examination) -> str | None:
     """What there is to plan and what that takes, in words."""
+    work, toolpath = found.work, None if found.first_layer else found.toolpath
     if work is None:
         return None
     from planner.planning.estimate import estimate
     from planner.planning.options import DEFAULT_DT
+    from planner.toolpath.speeds import mean_speed
 
+    speed = problem.process.speed if toolpath is None else mean_speed(problem.process, toolpath)
     size = f"{work.waypoints:,} waypoint{'' if work.waypoints == 1 else 's'}"
-    return f"{size} in all; to plan them takes {estimate(work, problem.process.speed, DEFAULT_DT).words}"
+    return f"{size} in all; to plan them takes {estimate(work, speed, DEFAULT_DT).words}"
 
 
 def _told(mistakes: Sequence[InputError]) -> int:
