@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from planner.base.errors import Refusal
+from planner.base.progress import Stages
+from planner.cell.cell import build_cell, near_ends
+from planner.planning.advice import _trial, changes
+from planner.planning.context import context_of, with_way
 from planner.planning.pipeline import load, solve
+from planner.planning.short_runs import all_short
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.runs import SHORTEST
 from planner.toolpath.task import tasks_of
@@ -49,6 +54,17 @@ def test_runs_are_shortened_where_the_arm_ends(tmp_path: Path) -> None:
     (task,) = tasks_of(problem, plan.toolpath)
     assert all(SHORTEST <= run <= 2.5 * SHORTEST for run in (-task.s[0], task.s[-1] - task.s[task.last]))
     assert plan.metrics["at_speed_fraction"] > 0.9
+
+
+def test_advice_keeps_runs_as_short_as_they_are(tmp_path: Path) -> None:
+    """With corners rounder, too, there is no way but with short runs."""
+    problem = load(problem_at(tmp_path, 11.2))
+    given = with_way(
+        all_short(context_of(problem, near_ends(build_cell(problem)), build_toolpath(problem)), "no room"), Stages()
+    )
+    rounder = next(change for change in changes(problem) if change.kind == "corner_tolerance")
+    found = _trial(given, rounder, given.start)([0])
+    assert found is not None and found.length == pytest.approx(2e-3 * HALF, rel=0.01)
 
 
 @pytest.mark.slow

@@ -195,6 +195,8 @@ def _trial(
             return lambda _: None
         if len(toolpath.beads) != len(given.toolpath.beads):
             return lambda _: None
+        both = zip(toolpath.beads, given.toolpath.beads, strict=True)
+        toolpath = replace(toolpath, beads=tuple(replace(new, short_runs=bead.short_runs) for new, bead in both))
 
     def at_speed(beads: Sequence[int]) -> SpeedTotals:
         speed = problem.process.speed
