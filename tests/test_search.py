@@ -58,6 +58,18 @@ def slow_edge(q0: Array, q1: Array, straight: Array, turn: float, time: float, l
     return TURN_PRICE * time * share**2 + (1.0 + DIP_PRICE) * max(0.0, need - time) + FAR_PRICE * beyond
 
 
+def table_turn(nodes: Nodes, there: int, here: int, limits: Limits) -> float:
+    """What the swept joint, the seventh, turns by in travel [rad of the grid]: the short way round, or within its range."""
+    zero, unit = nodes.scale
+    angles = np.array([there, here]) * nodes.grid.holder_step
+    if 6 in limits.sliding or limits.q_max[6] - limits.q_min[6] < TURN:
+        middle = (0.5 * (limits.q_min[6] + limits.q_max[6]) - zero) / unit
+        angles = middle + np.remainder(angles - middle + np.pi, TURN) - np.pi
+        return float(angles[0] - angles[1])
+    turn = angles[0] - angles[1]
+    return float(turn - TURN * np.round(turn / TURN))
+
+
 def edge_matrix(nodes: Nodes, demand: SampledTasks, r: int, limits: Limits, far: float = FAR) -> Array:
     """Prices (k, k) of getting from each node of rung r - 1 to each of rung r."""
     grid = nodes.grid
@@ -69,9 +81,8 @@ def edge_matrix(nodes: Nodes, demand: SampledTasks, r: int, limits: Limits, far:
     for f, (a0, b0, c0) in enumerate(np.ndindex(shape)):
         for t, (a1, b1, c1) in enumerate(np.ndindex(shape)):
             db = (grid.holder_from[r] + b1) - (grid.holder_from[r - 1] + b0)
-            turn = db * grid.holder_step
-            turn -= TURN * np.round(turn / TURN)
             if starts_a_task:
+                turn = table_turn(nodes, grid.holder_from[r] + b1, grid.holder_from[r - 1] + b0, limits)
                 E[f, t] = slow_travel(q[r - 1, a0, b0, c0], q[r, a1, b1, c1], turn, limits)
                 continue
             if c0 != c1:
@@ -191,6 +202,36 @@ def test_search_against_brute_force(periodic: bool) -> None:
     assert solved > 50
     assert stuck_ones > 5
     assert dearer > 5
+
+
+def test_a_table_that_slides_travels_the_whole_way() -> None:
+    """No short way leads round from one end of its range to the other."""
+    rng = np.random.default_rng(3)
+    longer = 0
+    for _ in range(60):
+        nodes, demand, limits = tiny_ladder(rng, True)
+        turning, _ = best_route(nodes, demand, limits)
+        unit = 3.0 / TURN
+        scale = np.append(np.ones(6), unit)
+        sliding = replace(
+            limits,
+            q_min=np.append(limits.q_min[:6], 0.0),
+            q_max=np.append(limits.q_max[:6], 3.0),
+            velocity=limits.velocity * scale,
+            acceleration=limits.acceleration * scale,
+            sliding=(6,),
+        )
+        nodes = replace(nodes, scale=(0.0, unit))
+        by_angle = replace(sliding, velocity=limits.velocity, acceleration=limits.acceleration)
+        total, _ = brute_force(nodes, demand, by_angle)
+        route, _ = best_route(nodes, demand, sliding)
+        if route is None:
+            assert turning is None and not np.isfinite(total.min())
+            continue
+        assert turning is not None
+        assert route.price == pytest.approx(total.min(), rel=1e-6)
+        longer += route.price > turning.price * (1 + 1e-6)
+    assert longer
 
 
 def winds_within(along: Array, low: float, high: float) -> bool:

@@ -16,6 +16,7 @@ from planner.cell.cell import Limits
 from planner.resolve.joint_path import MARGIN, SampledTasks
 from planner.resolve.nodes import Grid, Nodes
 from planner.resolve.prices import DIP_PRICE, FAR, FAR_PRICE, PAUSE_PRICE, TRAVEL_PRICE, TURN_PRICE
+from planner.resolve.reach import nearest_turn
 
 # ----------------------------------------------------------------------------------------------------
 # Compiled body of the search through the ladder graph.
@@ -61,13 +62,16 @@ class TurnsCounted(NamedTuple):
 class TravelLimits(NamedTuple):
     """Speed v [rad/s] and acceleration a [rad/s^2] (na + 1) of the arm's joints and then the swept one; wraps (na): which
     arm joints can turn so far that their angles count round the circle. From rung to rung what turns further than `far` [rad]
-    has another price, and what turns further than `jump` has come to another posture, or another turn."""
+    has another price, and what turns further than `jump` has come to another posture, or another turn.
+    round: whether the swept joint can go round the circle; else middle [rad] is that of its range, in the grid's angles."""
 
     v: Array
     a: Array
     wraps: Flags
     far: float
     jump: float
+    round: bool = True
+    middle: float = 0.0
 
 
 @inner_njit()
@@ -123,10 +127,13 @@ def _shift(index: int, window: int, periodic: bool) -> int:
 
 
 @inner_njit()
-def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float) -> float:
-    """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round."""
-    turn = ((holder_from[r1] + b1) - (holder_from[r0] + b0)) * holder_step
-    return turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
+def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float, limits) -> float:
+    """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round if it can go round."""
+    i1, i0 = holder_from[r1] + b1, holder_from[r0] + b0
+    if limits.round:
+        turn = (i1 - i0) * holder_step
+        return turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
+    return nearest_turn(i1 * holder_step, limits.middle) - nearest_turn(i0 * holder_step, limits.middle)
 
 
 @inner_njit()
@@ -150,7 +157,7 @@ def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
         for m in range(n_kept):
             j = kept[m]
             i0, b0, c0 = j // (C * B), (j // C) % B, j % C
-            turn = _turn(holder_from, r - 1, b1, r - 1, b0, holder_step)
+            turn = _turn(holder_from, r - 1, b1, r - 1, b0, holder_step, limits)
             if flat[j] + travel_price(q[r - 1, i0, b0, c0], q[r - 1, i1, b1, c1], turn, v, a, wraps) <= flat[k]:
                 dominated = True
                 break
@@ -168,7 +175,7 @@ def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
                     if flat[k] >= best:
                         break
                     i0, b0, c0 = k // (C * B), (k // C) % B, k % C
-                    turn = _turn(holder_from, r, b, r - 1, b0, holder_step)
+                    turn = _turn(holder_from, r, b, r - 1, b0, holder_step, limits)
                     t = flat[k] + travel_price(q[r - 1, i0, b0, c0], q[r, i, b, c], turn, v, a, wraps)
                     if t < best:
                         best, best_k = t, k
@@ -335,7 +342,7 @@ def _leave(ladder, r: int, limits, turns, cost, back) -> None:
     for i in range(A):
         for b in range(B):
             angle = (holder_from[r] + b) * ladder.holder_step
-            turn = _turn(holder_from, r, b, r, b0, ladder.holder_step)
+            turn = _turn(holder_from, r, b, r, b0, ladder.holder_step, limits)
             for c in range(C):
                 if price[r, i, b, c] == np.inf:
                     continue
@@ -428,7 +435,7 @@ def search_greedy(ladder, limits, low, high):
             p = picked[r0 - 1]
             for i in range(A):
                 for b in range(B):
-                    turn = _turn(ladder.holder_from, r0, b, r0 - 1, p[1], ladder.holder_step)
+                    turn = _turn(ladder.holder_from, r0, b, r0 - 1, p[1], ladder.holder_step, limits)
                     for c in range(C):
                         starts[i, b, c] += travel_price(q[r0 - 1, p[0], p[1], p[2]], q[r0, i, b, c], turn, v, a, wraps)
         flat = starts.ravel()
@@ -608,10 +615,14 @@ def joint_limits(nodes: Nodes, limits: Limits) -> TravelLimits:
     arm = np.arange(na)
     v, a = np.ones(na + 1), np.ones(na + 1)
     v[:na], a[:na] = limits.velocity[arm], limits.acceleration[arm]
-    if nodes.joint < len(limits.velocity):
-        unit = nodes.scale[1]
-        v[na], a[na] = limits.velocity[nodes.joint] / unit, limits.acceleration[nodes.joint] / unit
-    return TravelLimits(v, a, limits.turns[arm] & ((limits.q_max - limits.q_min)[arm] > TURN), FAR, JUMP)
+    width, j = limits.q_max - limits.q_min, nodes.joint
+    goes_round, middle = True, 0.0
+    if j < len(width):
+        zero, unit = nodes.scale
+        v[na], a[na] = limits.velocity[j] / unit, limits.acceleration[j] / unit
+        goes_round = bool(limits.turns[j] and width[j] >= TURN)
+        middle = float((0.5 * (limits.q_min[j] + limits.q_max[j]) - zero) / unit)
+    return TravelLimits(v, a, limits.turns[arm] & (width[arm] > TURN), FAR, JUMP, goes_round, middle)
 
 
 def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
