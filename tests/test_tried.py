@@ -90,21 +90,24 @@ def test_what_is_not_tried_is_said_to_be_untried(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("carrier", "field", "there"),
+    ("carrier", "field", "now"),
     [
-        (TABLE, "cell.positioner.origin_mm", "cell.positioner.origin_mm=[1085.0, 0.0, 620.5]"),
-        (TABLE.replace("origin", "base"), "cell.positioner.origin_mm", "cell.positioner.base_mm=[1085.0, 0.0, 620.5]"),
-        ("bed_mm: [900, 10, 300]", "cell.bed_mm", "cell.bed_mm=[885.0, 10.0, 320.5]"),
+        (TABLE, "cell.positioner.origin_mm", [1100.0, 0.0, 600.0]),
+        (TABLE.replace("origin", "base"), "cell.positioner.base_mm", [1100.0, 0.0, 600.0]),
+        ("bed_mm: [900, 10, 300]", "cell.bed_mm", [900.0, 10.0, 300.0]),
     ],
 )
-def test_a_move_is_from_where_it_stands(tmp_path: Path, carrier: str, field: str, there: str) -> None:
+def test_a_move_is_from_where_it_stands_and_told_by_the_files_own_key(
+    tmp_path: Path, carrier: str, field: str, now: list[float]
+) -> None:
     problem = problem_of(tmp_path, carrier=carrier)
-    moved = Change(f"{field}: moved gives a path", ((f"{field}: moved", ((field, MovedBy((-15.0, 0.0, 20.5))),)),))
+    told = "cell.bed_mm" if problem.cell.positioner is None else "cell.positioner.origin_mm"  # by searches
+    moved = Change(f"{told}: moved gives a path", ((f"{told}: moved", ((told, MovedBy((-15.0, 0.0, 20.5))),)),))
     plan = Planner(lambda p: True)
     assert hints_that_hold(problem, build_toolpath(problem), (moved,), plan)[0].startswith(
         f"{field}: moved gives a verified"
     )
-    assert plan.asked == [there]
+    assert plan.asked == [f"{field}={[now[0] - 15.0, now[1], now[2] + 20.5]}"]
 
 
 def test_smoothing_that_is_forbidden_is_advised_where_it_helps(tmp_path: Path) -> None:

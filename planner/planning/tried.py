@@ -26,6 +26,7 @@ _UNTRIED = "not planned to the end"
 _HEIGHT = "process.bead.height_mm"
 _SMOOTHING = "layers.source.smooth_normals_deg"
 _SMOOTHINGS = ("1", "3")  # deg
+_ORIGIN, _BASE = "cell.positioner.origin_mm", "cell.positioner.base_mm"
 
 PlanOf = Callable[[Problem], Plan]  # raises Refusal or InputError
 
@@ -44,7 +45,8 @@ def hints_that_hold(
     best: plans by the default strategy, where the refusal is of another one
     otherwise: told where no change gives a verified plan
     """
-    hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *hints, *_smoothing(problem, toolpath))
+    own = (_by_base(hint) if _has_base(problem) else hint for hint in hints)
+    hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *own, *_smoothing(problem, toolpath))
     waypoints = sum(len(bead.s) for bead in toolpath.beads)
     left, told, holds = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), [], False
     if best is not None and left:
@@ -98,14 +100,26 @@ def _setting(problem: Problem, field: str, value: object) -> str:
     """A field's new value as after `--set`."""
     if not isinstance(value, MovedBy):
         return f"{field}={value}"
-    cell = problem.cell
-    if cell.positioner is not None:
-        origin = cell.positioner.origin
-        now, field = (origin, field) if origin is not None else (cell.positioner.base, "cell.positioner.base_mm")
-    else:
-        now = cell.bed
+    carrier = problem.cell.positioner
+    now = problem.cell.bed if carrier is None else carrier.base if field == _BASE else carrier.origin
     there = [round(1e3 * a + by, 6) for a, by in zip(now or (0.0, 0.0, 0.0), value.vector, strict=True)]
     return f"{field}={there}"
+
+
+def _has_base(problem: Problem) -> bool:
+    """Whether the file says where the positioner's base stands, and not the plate's centre."""
+    return problem.cell.positioner is not None and problem.cell.positioner.base is not None
+
+
+def _by_base(hint: str) -> str:
+    """A hint with the key of a positioner's base in place of that of its plate's centre."""
+    if not isinstance(hint, Change):
+        return hint
+    tries = tuple(
+        (what.replace(_ORIGIN, _BASE), tuple((_BASE if field == _ORIGIN else field, value) for field, value in fields))
+        for what, fields in hint.tries
+    )
+    return Change(hint.replace(_ORIGIN, _BASE), tries)
 
 
 def _other_side(problem: Problem, toolpath: Toolpath) -> Hints:
