@@ -55,11 +55,21 @@ def test_a_shared_print_is_the_print(tmp_path: Path, monkeypatch: pytest.MonkeyP
         np.testing.assert_array_equal(values, getattr(alone.trajectory, name), err_msg=name)
 
 
-def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("radius_mm: 34", "radius_mm: 33"),
+        ("tip_mm: [-44.51, 9.9, 113.95]", "tip_mm: [-44.51, 9.9, 114]"),
+        ("resolve: {", "collision: {nozzle_mm: 1}\nresolve: {weights: {joint_limits: 2}, "),
+        ("part:", "  limits: {joint_1: {acceleration_rad_s2: 9}}\npart:"),
+    ],
+    ids=["part", "nozzle", "settings", "limits"],
+)
+def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path, change: tuple[str, str]) -> None:
     problem = small_problem()
     cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
-    digest = digest_of(cell, tasks)
-    file = write_small(tmp_path, ("radius_mm: 34", "radius_mm: 33"))
+    digest = digest_of(problem, cell, tasks)
+    file = write_small(tmp_path, change)
     with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
         context_elsewhere(str(file), (), digest)
-    assert digest != digest_of(cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
+    assert digest != digest_of(problem, cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-
-import numpy as np
 
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import Obstacles, obstacles_of
+from planner.plan import seal
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
 from planner.resolve.segment import Term
@@ -76,7 +74,7 @@ def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> Pla
     one there, as `digest_of` tells."""
     problem = load_problem(name, overrides)
     given = context_of(problem, build_cell(problem), build_toolpath(problem))
-    check_same(problem, digest_of(given.cell, given.tasks), digest)
+    check_same(problem, digest_of(problem, given.cell, given.tasks), digest)
     return given
 
 
@@ -86,15 +84,12 @@ def found_anywhere(problem: Problem) -> str:
     return file.stem if file.parent == PROBLEMS else str(file)
 
 
-def digest_of(cell: Cell, tasks: Sequence[NozzleTask]) -> str:
-    """Of what the files say of a cell and of what is printed: where two differ, so do the problems."""
-    limits = cell.limits
-    arrays = [cell.arm.placements, cell.T_world_holder, limits.q_min, limits.q_max, limits.velocity]
-    arrays += [each for task in tasks for each in (task.tip, task.frames, task.s)]
-    digest = hashlib.sha256()
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
+def digest_of(problem: Problem, cell: Cell, tasks: Sequence[NozzleTask]) -> str:
+    """Of all that searches, refinement and scores depend on: where two differ, so do the problems, or what they name."""
+    bodies = cell.head, cell.nozzles, cell.fixtures, cell.carried
+    return seal.digest_of(
+        (cell.arm, cell.holder, cell.limits, cell.home, bodies, tasks, problem.collision, problem.resolve)
+    )
 
 
 def check_same(problem: Problem, here: str, there: str) -> None:
