@@ -199,7 +199,27 @@ def test_points_stand_for_their_surface() -> None:
         triangle = corners[rng.integers(6)]
         normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
         place = share @ triangle + clearance * normal / np.linalg.norm(normal)
-        assert np.linalg.norm(points - place, axis=1).min() - radius <= clearance + 1e-9
+        assert (np.linalg.norm(points - place, axis=1) - radius).min() <= clearance + 1e-9
+
+
+def test_a_long_thin_facet_has_few_points() -> None:
+    """One of a profile of 3 m, 2 mm wide: 1.1 million, where its longest side is divided and all of it is filled so."""
+    points, radius = surface_points(np.array([[[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 2e-3, 0.0]]]), 2e-3)
+    assert 3.0 / 2e-3 < len(points) < 10_000
+    assert radius.max() < 1e-3
+
+
+def test_points_of_a_mesh_are_laid_once(scene: tuple[Cell, Obstacles]) -> None:
+    """They are in the mesh's own frame, wherever the part stands; nearer than that they are others."""
+    cell, obstacles = scene
+    elsewhere = obstacles.of(cell)
+    assert obstacles.around is not None and elsewhere.around is not None
+    assert obstacles.around.meshes
+    for (_, here), (_, there) in zip(obstacles.around.meshes, elsewhere.around.meshes, strict=True):
+        assert here is there
+    nearer = obstacles.with_nozzle_at(cell, 1e-3)
+    assert nearer is not None and nearer.around is not None
+    assert (nearer.around.meshes[0][1].radius > obstacles.around.meshes[0][1].radius).all()
 
 
 def test_nothing_is_its_own_obstacle(scene: tuple[Cell, Obstacles]) -> None:

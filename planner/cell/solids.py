@@ -14,6 +14,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 
 BOX, FRUSTUM, CAPSULE, HULL = 0, 1, 2, 3  # numbers of the kinds in compiled kernels
 SIZES = 6  # numbers at most that say how large one is
+_FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
 _AROUND = 48  # corners of a circle that is drawn as triangles
 
 
@@ -86,6 +87,18 @@ class Mesh(ReadOnlyArrays):
 
     vertices: Array
     triangles: Ints
+
+    @cached_property
+    def filled(self) -> Hull | None:
+        """Its convex hull, if it fills that."""
+        own = self.vertices[self.triangles]
+        volume = float(np.einsum("ni,ni->", own[:, 0], np.cross(own[:, 1], own[:, 2]))) / 6.0
+        hull = Hull(self.vertices)
+        try:
+            whole = hull.volume
+        except ValueError:  # it is flat
+            return None
+        return hull if volume >= (1.0 - _FILLED) * whole else None
 
 
 ConvexSolid = Box | Frustum | Capsule | Hull

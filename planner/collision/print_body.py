@@ -192,8 +192,8 @@ CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is 
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
 _MOST = 100_000  # points of either kind, about: more and they stand farther apart
-_CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
-_MERGED = 0.125  # of that side: corners nearer to each other count as one
+CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
+MERGED = 0.125  # of that side: corners nearer to each other count as one
 _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
 _CAPSULE = 0.25  # diameters between the balls of a strut: their surface is at most 2 % of one beneath its own
 _CHORD = 2e-3  # m that a picture's triangles may leave the true surface
@@ -355,7 +355,7 @@ def _sides(surfaces: Sequence[Array], near: Sequence[Flags]) -> tuple[float, flo
     for pieces, by in zip(surfaces, near, strict=True):
         area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
         areas += [float(area[by].sum()), float(area[~by].sum())]
-    fine, coarse = np.sqrt(areas / (_MOST * _CORNER_AREA)).tolist()
+    fine, coarse = np.sqrt(areas / (_MOST * CORNER_AREA)).tolist()
     return max(_FINE, fine), max(_COARSE, fine, coarse)
 
 
@@ -364,7 +364,7 @@ def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Arr
     points, spread = [np.zeros((0, 3))], [np.zeros(0)]
     for which, side in ((near, sides[0]), (~near, sides[1])):
         if which.any():
-            at, far = merged(split(pieces[which], side), _MERGED * side)
+            at, far = merged(split(pieces[which], side), MERGED * side)
             points.append(at)
             spread.append(far)
     return np.concatenate(points), np.concatenate(spread)

@@ -16,10 +16,21 @@ from planner.base.processes import in_blocks
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import Chain, joint_move
 from planner.cell.robot import Robot, joint_axis
-from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, in_touch, packed
+from planner.cell.solids import SIZES, Body, Capsule, Frustum, Hull, Mesh, Solid, in_touch, packed
 from planner.collision.margins import hit_along, lacking_at, least_margins
 from planner.collision.point_tree import PointTree, point_tree
-from planner.collision.print_body import TIP_SLOPE, PrintBody, print_body, standing, tip_slack
+from planner.collision.print_body import (
+    CORNER_AREA,
+    MERGED,
+    TIP_SLOPE,
+    PrintBody,
+    merged,
+    print_body,
+    split,
+    standing,
+    tip_slack,
+    without_slivers,
+)
 from planner.collision.table import Table, with_fields
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
@@ -27,36 +38,25 @@ from planner.toolpath.bead import Toolpath
 # ----------------------------------------------------------------------------------------------------
 # Points that stand for a surface: no solid that keeps its clearance from them comes nearer to the surface.
 
-_SPACING = 2e-3  # m
+_SPACING = 2e-3  # m, longest side of a triangle whose corners stand for it
 _MOST = 100_000  # points, about: larger surfaces have them farther apart
-_AREA = 0.5  # of the square of the spacing, about, that falls to one point
 
 
-def surface_points(corners: Array, clearance: float) -> tuple[Array, float]:
-    """Points (n, 3) all over triangles (m, 3, 3) [m], and the radius that makes up for what is between them.
+def surface_points(triangles: Array, clearance: float) -> tuple[Array, Array]:
+    """Points (n, 3) all over triangles (m, 3, 3) [m], and the radii (n) that make up for what is between them.
 
     clearance: the least distance that is asked of them [m]; at less the surface may be nearer than they say.
     """
-    across = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    spacing = max(_SPACING, float(np.sqrt(0.5 * across.sum() / (_MOST * _AREA))))
-    longest = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).max(axis=1)
-    parts = np.maximum(np.ceil(longest / spacing), 1.0).astype(np.int64)
-    points = []
-    for n in np.unique(parts):
-        i, j = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-        inside = i + j <= n
-        u, v = i[inside] / n, j[inside] / n
-        share = np.column_stack([1.0 - u - v, u, v])
-        points.append(np.einsum("kc,mcx->mkx", share, corners[parts == n]).reshape(-1, 3))
-    # no place of a triangle is farther than this from one of its corners
-    away = spacing / np.sqrt(3.0)
-    return np.concatenate(points), float(np.hypot(clearance, away) - clearance)
+    across = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    side = max(_SPACING, float(np.sqrt(0.5 * across.sum() / (_MOST * CORNER_AREA))))
+    pieces = split(without_slivers(np.ascontiguousarray(triangles, dtype=float), side), side)
+    points, spread = merged(pieces, MERGED * side)
+    return points, np.hypot(clearance, spread) - clearance
 
 
 # ----------------------------------------------------------------------------------------------------
 # Bodies of a cell as obstacles: in which frame each moves, whose it is, and which may touch.
 
-_FILLED = 1e-6  # of its hull's volume that a mesh may lack to be that hull
 _ON_AXIS = 1e-9  # m, and of a direction's length: so near to an axis is on it
 ARM, HEAD, HOLDER, FIXTURE, CARRIED = range(5)
 
@@ -109,26 +109,10 @@ def _moved(body: Body, T: Array) -> Body:
     return replace(body, T_frame_solid=T @ body.T_frame_solid)
 
 
-def corners(body: Body) -> Array:
-    """Triangles (m, 3, 3) of a mesh in its frame."""
-    mesh, T = body.solid, body.T_frame_solid
-    if not isinstance(mesh, Mesh):
-        raise TypeError(f"{body.name} is no mesh")
-    return np.asarray((mesh.vertices @ T[:3, :3].T + T[:3, 3])[mesh.triangles])
-
-
 def _filled(body: Body) -> Body:
     """The body, as a hull if it is a mesh that fills its hull."""
-    if not isinstance(body.solid, Mesh):
-        return body
-    own = body.solid.vertices[body.solid.triangles]
-    volume = float(np.einsum("ni,ni->", own[:, 0], np.cross(own[:, 1], own[:, 2]))) / 6.0
-    hull = Hull(body.solid.vertices)
-    try:
-        whole = hull.volume
-    except ValueError:  # it is flat
-        return body
-    return replace(body, solid=hull) if volume >= (1.0 - _FILLED) * whole else body
+    hull = body.solid.filled if isinstance(body.solid, Mesh) else None
+    return body if hull is None else replace(body, solid=hull)
 
 
 def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
@@ -172,13 +156,14 @@ _POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many b
 class Around:
     """What obstacles are made of besides the cell: clearances of head and robots [m], the slack of the head's near the
     tip (n beads, see `nearest_point`), and the points of part and print in the part frame, with what does not move there;
-    body: whose these points are."""
+    body: whose these points are; meshes: those of the cell that do not fill their hulls, with points in their own frames."""
 
     nozzle: float
     arm: float
     slack: Array
     part: PointTree
     body: PrintBody | None = None
+    meshes: tuple[tuple[Mesh, PointTree], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -225,7 +210,7 @@ class Obstacles:
         """The same where nozzle and head keep this distance [m], if that is less than they keep; else None."""
         if self.around is None or nozzle >= self.around.nozzle:
             return None
-        return _assembled(cell, replace(self.around, nozzle=nozzle))
+        return _assembled(cell, replace(self.around, nozzle=nozzle, meshes=()))
 
     def standing(self, cell: Cell, q: Array, now: float, margin: float) -> tuple[str, ...]:
         """Names of the bodies that stand with the part where it is one of them, not part or print, that leaves a posture
@@ -332,8 +317,8 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     trees, frames, poses = [around.part], [part_frame], [cell.holder.T_last_tip]
     look = [(k, 0) for k, thing in enumerate(solid) if thing.whose == HEAD or (thing.whose == ARM and thing.link)]
     clearance = [around.nozzle if solid[k].whose == HEAD else around.arm for k, _ in look]
-    for mesh in meshes:
-        points, radius = surface_points(corners(mesh.body), min(around.nozzle, around.arm))
+    around = replace(around, meshes=_points_of([thing.body.solid for thing in meshes], around))
+    for mesh, (_, tree) in zip(meshes, around.meshes, strict=True):
         look_at = [
             k
             for k, thing in enumerate(solid)
@@ -341,9 +326,9 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         ]
         look += [(k, len(trees)) for k in look_at]
         clearance += [around.nozzle if solid[k].whose == HEAD else around.arm for k in look_at]
-        trees.append(point_tree(points, radius))
+        trees.append(tree)
         frames.append(mesh.frame)
-        poses.append(np.eye(4))
+        poses.append(mesh.body.T_frame_solid)
     on_part = np.array([tree == 0 and solid[k].whose == HEAD for k, tree in look], dtype=np.bool_)
     round_ = np.array([is_round(solid[k].body, cell.arm.T_last_tip) for k, _ in look], dtype=np.bool_)
     keep = np.array(clearance, dtype=float)
@@ -365,6 +350,17 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     trees_of = (PART, *(mesh.body.name for mesh in meshes))
     made = Obstacles(table, names, trees_of, around, tuple(farthest.tolist()))
     return replace(made, table=_without_joined(cell, made.table, solid))
+
+
+def _points_of(solids: Sequence[Solid], around: Around) -> tuple[tuple[Mesh, PointTree], ...]:
+    """The meshes among solids with points all over each, those that are known as they are."""
+    known = {id(mesh): tree for mesh, tree in around.meshes}
+    clearance = min(around.nozzle, around.arm)
+    return tuple(
+        (mesh, known.get(id(mesh)) or point_tree(*surface_points(mesh.vertices[mesh.triangles], clearance)))
+        for mesh in solids
+        if isinstance(mesh, Mesh)
+    )
 
 
 def _table(cell: Cell, bodies: Sequence[Body], frames: Sequence[int]) -> Table:
