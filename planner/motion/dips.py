@@ -47,13 +47,13 @@ _NEGLIGIBLE = 5e-3  # of a dip's volume: less is not told as over-extrusion
 
 @dataclass(frozen=True)
 class _BeadContext:
-    """What all dips of a bead share: the task's geometry by its samples' index, and the drawn path's corners (k, 3),
+    """What all dips of a bead share: the task's geometry by its samples' index, and a tree of the drawn path's corners,
     joints' names and their velocity, acceleration and jerk limits (nj, 3), and those that slide."""
 
     path: JointPath
     bead: Bead
     spline: BSpline
-    corners: Array
+    corners: cKDTree
     names: tuple[str, ...]
     limits: Array
     sliding: tuple[int, ...]
@@ -69,9 +69,9 @@ class _BeadContext:
     def corner(self, low: float, high: float, tolerance: float) -> bool:
         """Whether the drawn path has a corner beside the bead between two arc lengths."""
         points = self.bead.points[(self.bead.s >= low) & (self.bead.s <= high)]
-        if len(points) == 0 or len(self.corners) == 0:
+        if len(points) == 0:
             return False
-        return bool(cKDTree(self.corners).query(points)[0].min() <= _BESIDE * tolerance)
+        return bool(self.corners.query(points)[0].min() <= _BESIDE * tolerance)  # infinite where there is none
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def find_dips(
 
 def _line(cell: Cell, bead: Bead, path: JointPath, tolerance: float) -> _BeadContext:
     limits = np.column_stack([cell.limits.velocity, cell.limits.acceleration, cell.limits.jerk])
-    corners = bead.source[_turns(bead.source, tolerance) > CORNER]
+    corners = cKDTree(bead.source[_turns(bead.source, tolerance) > CORNER])
     return _BeadContext(path, bead, spline_of(path), corners, cell.joint_names, limits, cell.limits.sliding)
 
 
