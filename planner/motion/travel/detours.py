@@ -221,16 +221,25 @@ class _FreeSpace:
 
 
 class _Tree:
+    """Postures (n, nj), and which of them each was reached from; the array that they are in doubles where it is full."""
+
     def __init__(self, root: Array) -> None:
-        self.q, self.parent = [root], [-1]
+        self._rows, self.parent = root[None].copy(), [-1]
+
+    @property
+    def q(self) -> Array:
+        return self._rows[: len(self.parent)]
 
     def nearest(self, q: Array, swing: Array) -> int:
-        return int(np.argmin(np.abs(np.array(self.q) - q) @ swing))
+        return int(np.argmin(np.abs(self.q - q) @ swing))
 
     def add(self, q: Array, parent: int) -> int:
-        self.q.append(q)
+        own = len(self.parent)
+        if own == len(self._rows):
+            self._rows = np.concatenate([self._rows, np.empty_like(self._rows)])
+        self._rows[own] = q
         self.parent.append(parent)
-        return len(self.q) - 1
+        return own
 
     def to_root(self, k: int) -> list[Array]:
         way = []
