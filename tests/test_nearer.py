@@ -11,7 +11,7 @@ from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.collision.scene import NOTHING
-from planner.planning import clearance, pipeline
+from planner.planning import context
 from planner.planning.clearance import coming_nearer, leads_on, may_come_nearer
 from planner.planning.context import context_of
 from planner.planning.pipeline import load, solve, write
@@ -137,12 +137,11 @@ def test_what_nothing_can_pass_is_refused_after_one_search(
         searches.append(given)
         return ladder(*given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(pipeline, "ladder", counted)
-    monkeypatch.setattr(clearance, "ladder", counted)
+    monkeypatch.setattr(context, "ladder", counted)
     monkeypatch.setitem(STRATEGIES, "ladder", counted)
     with pytest.raises(Refusal, match="lacks" if not far else "out of the arm's reach"):
         solve(down(tmp_path, *far), baseline=False)
-    assert len(searches) == (2 if far else 1)  # out of reach in a run-in: once more with that shortened
+    assert len(searches) == (3 if far else 1)  # out of reach in a run-in: with that shortened, and with all runs short
 
 
 @pytest.mark.slow

@@ -60,7 +60,6 @@ class PlannedPaths:
     """Joint paths of all beads with what they make: the trajectory, what verification says, the travels in it.
 
     by: the strategy that found the paths; "refined" is added where a simpler one's were refined
-    refined_from: the ladder's paths that these became; none where they are not known
     """
 
     by: str
@@ -68,7 +67,6 @@ class PlannedPaths:
     trajectory: Trajectory
     report: Report
     travels: Sequence[Travel]
-    refined_from: Sequence[JointPath] = ()
 
     @property
     def verified(self) -> bool:
@@ -107,18 +105,18 @@ def best_of_all(
 
     for name, paths in _simpler_paths(given, own, waypoints):
         plan(name, paths)
-    if own is not None and own.verified and own.refined_from and own.print_time > LONGER * _soonest(verified):
+    if own is not None and own.verified and own.print_time > LONGER * _soonest(verified):
         with suppress(Refusal):
-            plan(HELD, _refined_with_held_ends(given, own.refined_from))
+            plan(HELD, _refined_with_held_ends(given))
     return _best(verified) if verified else own
 
 
-def _refined_with_held_ends(given: PlanningContext, paths: Sequence[JointPath]) -> Sequence[JointPath]:
+def _refined_with_held_ends(given: PlanningContext) -> Sequence[JointPath]:
     """The ladder's paths refined, and the ends of beads hardly moved: what travel takes stays."""
     settings = given.problem.resolve
     weights = settings.weights.model_copy(update={"travel": HOLDS * settings.weights.travel})
     return refine_paths(
-        given.cell, paths, settings.model_copy(update={"weights": weights}), given.obstacles, given.terms
+        given.cell, given.start, settings.model_copy(update={"weights": weights}), given.obstacles, given.terms
     )
 
 
@@ -156,7 +154,7 @@ def _simpler_paths(
         each = [(model_of(own), [paths[i] for i in which]) for own, which in nozzles_of(cell, paths)]
         return [price for model, mine in each for price in given_prices(model, mine, settings).values()]
 
-    names: tuple[str, ...] = SIMPLER
+    names = SIMPLER if given.start else SIMPLER[1:]  # what the ladder has refused it refuses again
     most, worth_refining = np.inf, np.inf
     if own is not None and own.verified:
         covered = (waypoints > SMALL and len(cell.chosen) < 2) or (
@@ -175,8 +173,7 @@ def _simpler_paths(
 
     for name in names:
         try:
-            known = own.refined_from if own is not None and name == SIMPLER[0] else ()
-            paths: Sequence[JointPath] = known or STRATEGIES[name](cell, given.tasks, settings, obstacles)
+            paths = given.start if name == SIMPLER[0] else STRATEGIES[name](cell, given.tasks, settings, obstacles)
         except Refusal:
             continue
         # the default's own plan is what became of the ladder's paths

@@ -12,11 +12,11 @@ from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.collision.scene import obstacles_of
 from planner.plan import Nearer
-from planner.planning.context import PlanningContext
+from planner.planning.context import PlanningContext, with_way
 from planner.problem import Problem
 from planner.resolve.drawn import passable
 from planner.resolve.infeasible import NEARER
-from planner.resolve.ladder import ladder, may_be_found
+from planner.resolve.ladder import may_be_found
 from planner.verify.verdict import Report
 
 NOZZLE_CHECK = "nozzle clear of part and print"
@@ -63,27 +63,21 @@ def coming_nearer(
         return
     for kept in (each for each in NEARER if each < usual):
         there = _keeping(given, kept)
-        nearer = _with_way(there, stages) if in_one_go else there
-        if nearer is not None:
-            yield Nearer(kept, usual, because), nearer
+        try:
+            nearer = with_way(there, stages) if in_one_go else there
+        except Refusal:
+            continue
+        yield Nearer(kept, usual, because), nearer
 
 
 def _keeping(given: PlanningContext, kept: float) -> PlanningContext:
     """The same where nozzle and head keep this distance [m]."""
     spec = given.problem.collision.model_copy(update={"nozzle": kept})
     problem = given.problem.model_copy(update={"collision": spec})
-    return replace(given, problem=problem, obstacles=obstacles_of(problem, given.cell, given.toolpath, given.body))
+    obstacles = obstacles_of(problem, given.cell, given.toolpath, given.body)
+    return replace(given, problem=problem, obstacles=obstacles, start=())
 
 
 def _may_be_found(given: PlanningContext, stages: Stages) -> bool:
     with stages.stage("resolve"):
         return may_be_found(given.cell, given.tasks, given.problem.resolve, given.obstacles)
-
-
-def _with_way(given: PlanningContext, stages: Stages) -> PlanningContext | None:
-    """The same with the way that a search finds; None if it finds none."""
-    with stages.stage("resolve"):
-        try:
-            return replace(given, start=ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles))
-        except Refusal:
-            return None

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from planner.base.errors import InputError
+from planner.base.progress import Stages
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
@@ -14,6 +15,7 @@ from planner.collision.scene import Obstacles, obstacles_of
 from planner.plan import seal
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
+from planner.resolve.ladder import ladder
 from planner.resolve.segment import Term
 from planner.toolpath.as_printed import printed_beads
 from planner.toolpath.bead import Toolpath
@@ -66,6 +68,14 @@ def context_of(
     body, printed = print_body(toolpath, standing(cell)), printed_beads(problem, toolpath)
     tasks, obstacles = tasks_of(problem, toolpath)[printed:], obstacles_of(problem, cell, toolpath, body)
     return PlanningContext(problem, cell, toolpath, tasks, body, obstacles, max(first_bead, printed), terms)
+
+
+def with_way(given: PlanningContext, stages: Stages) -> PlanningContext:
+    """The same with the way that the ladder finds, unless it is known. Raises Refusal where there is none."""
+    if given.start:
+        return given
+    with stages.stage("resolve"):
+        return replace(given, start=ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles))
 
 
 @lru_cache(maxsize=1)

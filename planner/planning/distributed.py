@@ -27,7 +27,7 @@ LEAST = 4000  # samples of a piece: less takes longer to send than to refine
 def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
     """The joint paths of strategy `sqp`, bit for bit, refined where `over` spreads them. Raises Refusal as `sqp` does."""
     problem, cell, settings = given.problem, given.cell, given.problem.resolve
-    paths = ladder(cell, given.tasks, settings, given.obstacles)
+    paths = given.start or ladder(cell, given.tasks, settings, given.obstacles)
     if cell.nozzles:  # a worker's model is that of one nozzle
         return refine_paths(cell, paths, settings, given.obstacles)
     prices = given_prices(model_of(cell, given.obstacles, terms_of(settings.weights)), paths, settings)

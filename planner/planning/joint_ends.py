@@ -13,10 +13,9 @@ import numpy as np
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.cell.cell import LIMIT_ROOM, Cell, near_ends
-from planner.planning.context import PlanningContext
+from planner.planning.context import PlanningContext, with_way
 from planner.planning.short_runs import with_short_runs
 from planner.resolve.joint_path import JointPath
-from planner.resolve.ladder import ladder
 
 
 def nearer_to_ends(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
@@ -31,14 +30,12 @@ def nearer_to_ends(given: PlanningContext, refusal: Refusal, stages: Stages) -> 
     if given.problem.process.split_beads:  # a bead need not have a way of its own
         return nearer
     try:
-        with stages.stage("resolve"):
-            start = ladder(nearer.cell, nearer.tasks, nearer.problem.resolve, nearer.obstacles)
+        return with_way(nearer, stages)
     except Refusal as none:
         short = None if none.run is None else with_short_runs(nearer, none, stages)
         if short is None:
             raise none from refusal
         return short
-    return replace(nearer, start=start)
 
 
 def noted(given: PlanningContext, paths: Sequence[JointPath], refusal: Refusal) -> PlanningContext:

@@ -20,11 +20,11 @@ from planner.base.geometry import angles_between
 from planner.base.progress import Stages
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
-from planner.planning.context import PlanningContext
+from planner.planning.context import PlanningContext, with_way
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.joint_path import spread
-from planner.resolve.ladder import MOST_NODES, binds_table, coarse_grid, ladder
+from planner.resolve.ladder import MOST_NODES, binds_table, coarse_grid
 from planner.resolve.nodes import evaluate
 from planner.toolpath.task import NozzleTask, roll_zeros
 
@@ -57,12 +57,10 @@ def with_leans(given: PlanningContext, stages: Stages) -> PlanningContext | None
         tilts = best_leans(given)
         if tilts is None:
             return None
-        leaned = leaned_tasks(given.tasks, tilts)
-        try:
-            start = ladder(given.cell, leaned, given.problem.resolve, given.obstacles)
-        except Refusal:
-            return None
-    return replace(given, tasks=leaned, start=start, leans=True)
+    try:
+        return with_way(replace(given, tasks=leaned_tasks(given.tasks, tilts), leans=True), stages)
+    except Refusal:
+        return None
 
 
 def best_leans(given: PlanningContext) -> list[Array] | None:

@@ -46,7 +46,7 @@ from planner.plan.seal import INPUTS, changed_since, sealed
 from planner.planning.advice import advise
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
-from planner.planning.context import PlanningContext, context_of
+from planner.planning.context import PlanningContext, context_of, with_way
 from planner.planning.distributed import sqp_over
 from planner.planning.estimate import TOLD_FROM, check_memory, estimate
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
@@ -64,7 +64,6 @@ from planner.problem.waypoint_arrays import WaypointArrays
 from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
-from planner.resolve.ladder import ladder
 from planner.resolve.least_lean import check_cones
 from planner.resolve.own_terms import Own, OwnTerm, own_terms
 from planner.resolve.roll_map import RollMap, roll_maps
@@ -425,8 +424,8 @@ def _planned(
     """
     others, min_sigma = strategy == DEFAULT, given.problem.resolve.min_sigma
 
-    def along(by: str, paths: Sequence[JointPath], stages: Stages, start: Sequence[JointPath] = ()) -> PlannedPaths:
-        return PlannedPaths(by, paths, *_plan_along(paths, strategy, given, dt, stages, shared), start)
+    def along(by: str, paths: Sequence[JointPath], stages: Stages) -> PlannedPaths:
+        return PlannedPaths(by, paths, *_plan_along(paths, strategy, given, dt, stages, shared))
 
     def maps_of(planned: PlannedPaths) -> tuple[RollMap, ...]:
         return roll_maps(given.cell, planned.paths[given.laid], given.obstacles, min_sigma)
@@ -437,10 +436,12 @@ def _planned(
         return _rest_of(strategy, whole, given.first_bead, dt, stages, shared)
     own, refusal, mapped = None, None, None
     try:
-        paths, start = _paths_of(strategy, given, stages, over)
+        if others:
+            given = with_way(given, stages)
+        paths = _paths_of(strategy, given, stages, over)
         rest = paths[given.laid]
         with beside(shared, roll_maps, given.cell, rest, given.obstacles, min_sigma) as maps:
-            own = along(strategy, paths, stages, start)
+            own = along(strategy, paths, stages)
             with stages.stage("map"):
                 mapped = maps()
     except Refusal as none:
@@ -511,20 +512,17 @@ def _planned_in_pieces(
     return whole
 
 
-def _paths_of(
-    strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None
-) -> tuple[Sequence[JointPath], Sequence[JointPath]]:
-    """Paths of all beads by one strategy, and those that they were refined from, where these are known."""
+def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
+    """Paths of all beads by one strategy; the default's are those of the ladder, which are known, refined."""
     cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
     with stages.stage("resolve"):
         if strategy == "ladder" and given.start:
-            return given.start, ()
+            return given.start
         if strategy != DEFAULT:
-            return STRATEGIES[strategy](cell, tasks, settings, obstacles), ()
+            return STRATEGIES[strategy](cell, tasks, settings, obstacles)
         if over is not None:
-            return sqp_over(over, given), ()
-        start = given.start or ladder(cell, tasks, settings, obstacles)
-        return refine_paths(cell, start, settings, obstacles, given.terms), start
+            return sqp_over(over, given)
+        return refine_paths(cell, given.start, settings, obstacles, given.terms)
 
 
 def _plan_along(
@@ -556,10 +554,10 @@ def _distance(given: PlanningContext, report: Report) -> dict[str, float]:
     return {"bound_any_path_s": bound, "bound_gap_fraction": gap}
 
 
-def _report_of(strategy: str, given: PlanningContext, dt: float, second_process: bool = False) -> Report:
+def _report_of(strategy: str, given: PlanningContext, dt: float) -> Report:
     """What verification says of a strategy's plan."""
     stages = Stages()
-    return _plan_along(_paths_of(strategy, given, stages)[0], strategy, given, dt, stages, second_process)[1]
+    return _plan_along(_paths_of(strategy, given, stages), strategy, given, dt, stages, False)[1]
 
 
 def trajectory_of(

@@ -12,9 +12,8 @@ from dataclasses import replace
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.plan import Trajectory
-from planner.planning.context import PlanningContext
+from planner.planning.context import PlanningContext, with_way
 from planner.problem import Problem
-from planner.resolve.ladder import ladder
 from planner.verify.verdict import Report
 
 MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
@@ -40,10 +39,10 @@ def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) ->
         short[now.bead] = (True, ends[1]) if now.run == "run-in" else (ends[0], True)
         told.append(f"{now.run} of bead {now.bead}")
         shortened = _shortened(given, short, f"{', '.join(told)} shortened: {refusal.reason}")
-        stuck = _stuck(shortened, stages)
-        if stuck is None:
-            return shortened
-        now = stuck
+        try:
+            return with_way(shortened, stages)
+        except Refusal as stuck:
+            now = stuck
     return all_short(given, refusal.reason)
 
 
@@ -73,13 +72,3 @@ def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], n
     beads = tuple(replace(bead, short_runs=short[i]) for i, bead in enumerate(toolpath.beads))
     toolpath = replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
     return given.along(toolpath)
-
-
-def _stuck(given: PlanningContext, stages: Stages) -> Refusal | None:
-    """Where a search ends; None where it finds a way."""
-    with stages.stage("resolve"):
-        try:
-            ladder(given.cell, given.tasks, given.problem.resolve, given.obstacles)
-        except Refusal as refusal:
-            return refusal
-    return None

@@ -101,7 +101,9 @@ def joint_paths(
         roll = _broadcast(f"rolls[{i}]", rolls[i], ((n,), ()), (n,))
         tilt = np.zeros((n, 2)) if tilts is None else _broadcast(f"tilts[{i}]", tilts[i], ((n, 2),), (n, 2))
         free = _broadcast(f"chosen[{i}]", rest if chosen is None else chosen[i], ((n, k), (k,)), (n, k))
-        asked.append((task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], f"branches[{i}]")))
+        asked.append(
+            (task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], f"branches[{i}]"))
+        )
     paths = [
         JointPath(task, roll, tilt, postures(cell, task, roll, free, branch, tilt), branch)
         for task, roll, tilt, free, branch in asked
