@@ -168,7 +168,7 @@ def tiny_ladder(rng: np.random.Generator, periodic: bool) -> tuple[Nodes, Sample
     v, a = rng.uniform(0.5, 1.2, 7), rng.uniform(2.0, 6.0, 7)
     v[6] = 4.0 if periodic else 0.5
     limits = Limits(np.full(7, -9.0), np.full(7, 9.0), v, a, 50 * a)
-    return Nodes(grid, q.astype(np.float32), price), demand, limits
+    return Nodes(grid, q.astype(np.float32), price, 6), demand, limits
 
 
 @pytest.mark.slow(keep=("False",))
@@ -291,7 +291,7 @@ def test_search_prefers_a_short_travel() -> None:
         empty, empty, empty, empty, empty, empty, empty, zero, empty, zero, zero + 1, np.zeros(2), np.array([0, 1, 2])
     )
     limits = Limits(*(np.full(7, x) for x in (-9.0, 9.0, 1.0, 5.0, 250.0)))
-    route, _ = best_route(Nodes(grid, q, price), demand, limits)
+    route, _ = best_route(Nodes(grid, q, price, 6), demand, limits)
     assert route is not None
     np.testing.assert_array_equal(route.roll, [2, 2])
     assert route.price == pytest.approx(2e-6)

@@ -244,9 +244,9 @@ def _growth(ceilings: Array, speed: float) -> float:
     return float(((speed / lowest[1:]) ** (ORDERS[1:] / (ORDERS[1:] - 1.0))).max())
 
 
-def _down(value: float, digits: int = DIGITS) -> float:
-    """A positive value rounded down to so many digits that count."""
-    places = digits - 1 - math.floor(math.log10(value))
+def _down(value: float) -> float:
+    """A positive value rounded down to DIGITS digits that count."""
+    places = DIGITS - 1 - math.floor(math.log10(value))
     return round(math.floor(value * 10.0**places * (1.0 + _ROUNDING)) / 10.0**places, max(places, 0))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError, nearest_name
+from planner.base.geometry import TURN
 from planner.cell.cell import Cell, build_cell, rigid_inverse, translation
 from planner.cell.kinematics.chain import Chain
 from planner.collision.scene import NOTHING, Obstacles, obstacles_of
@@ -127,7 +128,6 @@ _FINEST = {False: 10e-3, True: math.radians(5.0)}  # m and rad between lattice p
 _GRAIN = {False: 1e-3, True: math.radians(1.0)}  # m and rad, to which placements are rounded
 _COUNTS = {"x": 9, "y": 9, "z": 6, "turn": 6, "part_x": 5, "part_y": 5}  # of lattice points, at most
 _MOST_ANYWHERE = 100.0  # m: a hall, as problem files have it
-_TURN = 2.0 * math.pi
 
 
 def default_freedoms(problem: Problem) -> tuple[str, ...]:
@@ -171,7 +171,7 @@ def _axis(cell: Cell, place: PartPlace, name: str, given: tuple[float, float] | 
         low, high = round(at - side, 3), round(at + side, 3)
         if name == "z" and cell.T_world_base[2, 2] > 0.5:  # not below a standing arm's foot, unless it is there
             low = max(low, min(float(cell.T_world_base[2, 3]), at))
-    turns = angle and high - low >= _TURN - 1e-9
+    turns = angle and high - low >= TURN - 1e-9
     count = min(_COUNTS[name], math.ceil((high - low) / _FINEST[angle]) + 1)
     return Axis(name, low, high, count, _GRAIN[angle], turns)
 

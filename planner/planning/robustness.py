@@ -24,6 +24,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import PlannerError
+from planner.base.geometry import TURN
 from planner.base.processes import in_halves
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.solids import Body, triangles_of
@@ -38,7 +39,6 @@ BLOCK = 8192  # samples at once: bounds the memory
 RANGE, SINGULARITY = "joint range", "singularity margin"
 AS_PLANNED = Displacement("as planned")
 AXES = "xyz"
-_TURN = 2.0 * np.pi
 
 
 class Verified(Protocol):
@@ -171,7 +171,7 @@ def followed(cell: Cell, path: JointPath) -> JointPath:
         refuse_at(path.task, i, "out of the arm's reach", missing)
     change = np.unwrap(solutions[:, path.branch][:, solved] - path.q[:, solved], axis=0)
     q = path.q.copy()
-    q[:, solved] += change - _TURN * np.round(change[0] / _TURN)
+    q[:, solved] += change - TURN * np.round(change[0] / TURN)
     beyond = np.maximum(cell.limits.q_min - q, q - cell.limits.q_max)
     i, j = divmod(int(np.argmax(beyond)), beyond.shape[1])
     if beyond[i, j] > 0.0:

@@ -14,7 +14,7 @@ from planner.base.errors import Refusal
 from planner.base.geometry import TURN
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
-from planner.resolve.joint_path import flange_poses, upright
+from planner.resolve.joint_path import flange_poses, turned_to_middle, upright
 from planner.resolve.reach import looked_at
 from planner.toolpath.task import NozzleTask
 
@@ -105,7 +105,6 @@ def postures_drawn(cell: Cell, task: NozzleTask, i: int, n: int) -> Array:
         lean = size[:, None] * np.column_stack([np.cos(azimuth), np.sin(azimuth)])
     redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(flange_poses(cell, spot, roll, lean, chosen[:, :nh]), redundant)
-    middle = 0.5 * (limits.q_min[:na] + limits.q_max[:na])
-    q = np.where(limits.turns[:na], middle + np.remainder(q - middle + np.pi, TURN) - np.pi, q)
+    q = turned_to_middle(limits, q)
     k, branch = np.nonzero(ok & ((q >= limits.q_min[:na]) & (q <= limits.q_max[:na])).all(axis=2))
     return np.hstack([q[k, branch], chosen[k, :nh]])

@@ -20,7 +20,16 @@ from planner.cell.cell import Cell, near_ends, translation
 from planner.cell.robot import chain_of
 from planner.collision.scene import NOTHING, PART, Obstacles
 from planner.resolve.drawn import SLIGHT, repeated
-from planner.resolve.joint_path import JointPath, SampledTasks, flange_poses, postures, refuse_at, spread, upright
+from planner.resolve.joint_path import (
+    JointPath,
+    SampledTasks,
+    flange_poses,
+    postures,
+    refuse_at,
+    spread,
+    turned_to_middle,
+    upright,
+)
 from planner.resolve.nodes import Grid, Nodes, evaluate, full_grid
 from planner.resolve.reach import CLEAR_ROOM
 from planner.resolve.search import LadderRoute, Route, angles_along, best_route
@@ -369,10 +378,8 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
     T = flange_poses(cell, spot, roll, upright(spot), holder)
     redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(T, redundant)
+    q = turned_to_middle(cell.limits, q)
     low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
-    middle = 0.5 * (low + high)
-    turned = middle + np.remainder(q - middle + np.pi, 2 * np.pi) - np.pi
-    q = np.where(cell.limits.turns[:na], turned, q)
     return _Tried(tasks[k], i, T, holder, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
 
 

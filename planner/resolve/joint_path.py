@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.errors import Hints, Refusal
+from planner.base.geometry import TURN
 from planner.base.processes import of_each
 from planner.cell.cell import Cell, Limits, rigid_inverse
 from planner.resolve.prices import WOUND
@@ -24,7 +25,7 @@ from planner.toolpath.task import FREE, Cones, NozzleTask
 # ----------------------------------------------------------------------------------------------------
 # What a nozzle task demands of the joints at the commanded speed: twists, their rates, and rungs.
 
-SAMPLES_TURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
+SAMPLESTURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
 SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
 
 
@@ -136,7 +137,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
     clocks = [task.s / task.speed for task in tasks]
     for task, t in zip(tasks, clocks, strict=True):
         n = len(task)
-        place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLES_TURNING)
+        place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLESTURNING)
         at = np.round(place * (n - 1)).astype(np.int64)
         edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
         rungs.append(at + offset)
@@ -216,7 +217,6 @@ def _differences(t: Array, first: int, last: int, i: int) -> tuple[float, float,
 # ----------------------------------------------------------------------------------------------------
 # JointPath: the joints along one task, from a choice of roll, holder angle and branch.
 
-_TURN = 2.0 * np.pi
 TURNS = 5  # of a joint that are tried along a bead
 COMBINATIONS = 128  # of joints' turns that are tried along a bead
 MARGIN = 1e-6  # rad kept from a joint's limit, so that rounding cannot cross it
@@ -286,13 +286,19 @@ def postures(cell: Cell, task: NozzleTask, roll: Array, chosen: Array, branch: i
         missing = float(cell.inverse.out_of_reach(T_base_flange[i : i + 1], given)[0])
         refuse_at(task, i, "out of the arm's reach", missing)
     middle = 0.5 * (cell.limits.q_min[:na] + cell.limits.q_max[:na])
-    turned = middle + np.remainder(q - middle + np.pi, _TURN) - np.pi
-    q = np.where(cell.limits.turns[:na], np.unwrap(turned, axis=0), q)
+    q = np.where(cell.limits.turns[:na], np.unwrap(turned_to_middle(cell.limits, q), axis=0), q)
     span = cell.limits.q_max[:na] - cell.limits.q_min[:na]
     for j in np.flatnonzero(np.ptp(q, axis=0) > span):
         i = int(np.argmax(np.abs(q[:, j] - middle[j])))
         refuse_at(task, i, f"{cell.arm.names[j]} would turn further than its range along this bead")
     return np.hstack([q, holder])
+
+
+def turned_to_middle(limits: Limits, q: Array) -> Array:
+    """The arm's joints (..., na), those that turn in whole turns as near to the middles of their ranges as can be."""
+    na = q.shape[-1]
+    middle = 0.5 * (limits.q_min[:na] + limits.q_max[:na])
+    return np.where(limits.turns[:na], middle + np.remainder(q - middle + np.pi, TURN) - np.pi, q)
 
 
 def flange_poses(cell: Cell, task: NozzleTask, roll: Array, tilt: Array, holder: Array) -> Array:
@@ -349,13 +355,13 @@ def turns_within(cell: Cell, path: JointPath) -> Array:
     least, most = path.q.min(axis=0), path.q.max(axis=0)
     each = []
     for j in range(len(low)):
-        k = np.arange(np.ceil((low[j] - least[j]) / _TURN), np.floor((high[j] - most[j]) / _TURN) + 1)
+        k = np.arange(np.ceil((low[j] - least[j]) / TURN), np.floor((high[j] - most[j]) / TURN) + 1)
         k = k if cell.limits.turns[j] else k[k == 0]
         if len(k) == 0:
             worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
             refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
-        nearest = np.argsort(np.abs(0.5 * (least[j] + most[j]) + k * _TURN - cell.home[j]), kind="stable")
-        each.append(k[nearest[:TURNS]] * _TURN)
+        nearest = np.argsort(np.abs(0.5 * (least[j] + most[j]) + k * TURN - cell.home[j]), kind="stable")
+        each.append(k[nearest[:TURNS]] * TURN)
     together = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, len(low))
     away = np.abs(0.5 * (least + most) + together - cell.home) @ (1.0 / cell.limits.velocity)
     return np.asarray(together[np.sort(np.argsort(away, kind="stable")[:COMBINATIONS])])

@@ -121,9 +121,7 @@ def _times(
 PIECE = 24  # rungs that are searched at once: what the whole fine grid of so many takes still fits in memory
 
 
-def lower_bound(
-    cell: Cell, found: LadderRoute, min_sigma: float, piece: int = PIECE, obstacles: Obstacles = NOTHING
-) -> float:
+def lower_bound(cell: Cell, found: LadderRoute, min_sigma: float, piece: int = PIECE) -> float:
     """A lower bound [s] of the price of any route on the whole grid that has the found route's steps.
 
     Every task is cut into pieces of at most `piece` rungs. Each is searched exactly over all rolls, all angles of
@@ -141,7 +139,7 @@ def lower_bound(
             held = None if grid.held is None else grid.held[part]
             steps = grid.roll_step, grid.holder_step
             whole = full_grid(few, cell.inverse.branch_count, *steps, swept is not None, swept, held)
-            route, _ = best_route(evaluate(cell, few, whole, min_sigma, obstacles), few, cell.limits)
+            route, _ = best_route(evaluate(cell, few, whole, min_sigma), few, cell.limits)
             if route is None:  # rounding alone: the found route lies on this grid
                 return 0.0
             total += route.price
@@ -333,11 +331,10 @@ def ladder(
     raise refusal
 
 
-def ladder_route(
-    cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles = NOTHING
-) -> LadderRoute:
-    """The route that `ladder` tries first to make its paths of. Raises Refusal where there is none."""
-    return next(_routes(cell, tasks, settings, obstacles))
+def ladder_route(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> LadderRoute:
+    """The route that `ladder` tries first to make its paths of where nothing is in the way. Raises Refusal where there is
+    none."""
+    return next(_routes(cell, tasks, settings, NOTHING))
 
 
 def _routes(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -297,7 +297,7 @@ class Nodes:
     grid: Grid
     q: NDArray[np.float32]
     price: NDArray[np.float64]
-    joint: int = 6
+    joint: int
     scale: tuple[float, float] = (0.0, 1.0)
 
     def swept_at(self, index: Ints | int) -> Array:
@@ -313,19 +313,6 @@ class Nodes:
         if k and grid.swept is not None:
             chosen[:, grid.swept] = self.swept_at(grid.holder_from[rung] + np.arange(len(chosen)))
         return chosen[:, : len(cell.holder)]
-
-
-def nodes_of(nodes: Nodes, rungs: slice) -> Nodes:
-    """The nodes of some rungs."""
-    grid = nodes.grid
-    own = replace(
-        grid,
-        roll_from=grid.roll_from[rungs],
-        holder_from=grid.holder_from[rungs],
-        branch=grid.branch[rungs],
-        held=None if grid.held is None else grid.held[rungs],
-    )
-    return replace(nodes, grid=own, q=nodes.q[rungs], price=nodes.price[rungs])
 
 
 def full_grid(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.base.geometry import wrap_angle
+from planner.base.geometry import TURN, wrap_angle
 from planner.base.processes import in_threads
 from planner.base.singular_values import least_singular_values
 from planner.cell.cell import Cell
@@ -31,7 +31,6 @@ COLUMNS, ROLLS = 450, 120  # of a map: as many as a picture shows, rolls 3 degre
 EVERY_COLUMN, EVERY_ROLL = 3, 2  # clearance is asked for so often, and drawn straight between: it takes longest
 CLEAR_ENOUGH = 0.02  # m: greater clearances are not told apart
 CLEAR_CLOSE = 1e-4  # m: where less is drawn, it is found
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ def roll_map(
     """
     places = _places(paths, columns)
     m = len(places.s)
-    roll = -np.pi + _TURN * np.arange(rolls) / rolls
+    roll = -np.pi + TURN * np.arange(rolls) / rolls
     q, exists = _postures(cell, places, roll)
     at = np.arange(m)
     if any_branch or (places.branch < 0).any():
@@ -171,7 +170,7 @@ def _judged(
     """why, sigma, limit and clearance of arm postures (m, k, na), turned as near the middle of their ranges as can be."""
     na = len(cell.arm)
     low, high, turns = cell.limits.q_min[:na], cell.limits.q_max[:na], cell.limits.turns[:na]
-    arm = arm - np.where(turns, _TURN * np.round((arm - 0.5 * (low + high)) / _TURN), 0.0)
+    arm = arm - np.where(turns, TURN * np.round((arm - 0.5 * (low + high)) / TURN), 0.0)
     limit = np.minimum(arm - low, high - arm).min(axis=2)
     limit[~exists] = np.nan
     why = np.where(exists, np.where(limit < 0.0, LIMITS, FREE), REACH).astype(np.uint8)

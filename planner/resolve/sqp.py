@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from planner.base.arrays import Array
+from planner.base.geometry import TURN
 from planner.base.processes import MANY, Job, cores, in_halves, in_turn, of_each
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
@@ -122,7 +123,6 @@ class Windowed:
 # Strategy `sqp`: the ladder's paths, refined continuously over all free variables.
 
 SAMPLES_PER_CONTROL = 4  # at least: what moves between control values must be resolved by the samples
-_TURN = 2.0 * np.pi
 _PAD = 4  # samples on both sides of a window that its derivatives look at
 _WORTH_IT = 5e-3  # share of the price that refining in short windows must be able to save
 BEYOND = 8e-4  # rad beyond a cone from which a plan may fail verification, which allows 0.05 degrees
@@ -408,7 +408,7 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
     if below is not None:
         flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)
         near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
-        turns = np.round((c[0] - below.c[flip][0]) / _TURN) * _TURN  # they were chosen for each bead
+        turns = np.round((c[0] - below.c[flip][0]) / TURN) * TURN  # they were chosen for each bead
         other = evaluate(model, stretch, below.c[flip] + turns, near, floor)
         if other is not None and (best is None or other.price < best.price):
             best = other
