@@ -18,7 +18,7 @@ from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel.clearance import travel_clearance
 from planner.motion.travel.detours import around
-from planner.motion.travel.plan import Task, no_way, plan_travels, quickest
+from planner.motion.travel.plan import TravelTask, no_way, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
@@ -222,7 +222,7 @@ def along(motion: Cubics) -> np.ndarray:
     return motion.joints(np.linspace(0.0, motion.duration, 150))
 
 
-def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]) -> tuple[Body, Task]:
+def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]) -> tuple[Body, TravelTask]:
     """A travel that turns the arm by 70 degrees, and a post in between."""
     start, end = timed[0].start.q, timed[0].start.q.copy()
     end[0] += 1.2
@@ -232,7 +232,7 @@ def beside_a_wall(problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[
     states = [JointState(q, np.zeros_like(q), np.zeros_like(q)) for q in both]
     space = travel_clearance(cell, toolpath.surface.before(0), 0.0, problem.process.lift, *states)
     ends = Ends(states[0], states[1], 0.0, bounds_of(cell))
-    return wall, Task(cell, ends, space, 0.2, obstacles_of(problem, cell, toolpath), 0.0, -1e-4)
+    return wall, TravelTask(cell, ends, space, 0.2, obstacles_of(problem, cell, toolpath), 0.0, -1e-4)
 
 
 @pytest.mark.slow

@@ -28,7 +28,7 @@ from planner.resolve.terms import (
     Singularity,
     Tilt,
     TimeLost,
-    Travel,
+    TravelTerm,
     model_of,
     terms_of,
 )
@@ -86,7 +86,7 @@ def everything(state: PathState) -> Watch:
 
 @pytest.mark.slow(keep=2)
 @pytest.mark.parametrize(
-    "term", [TimeLost(2.0), Effort(0.7), JointLimits(3.0), Singularity(0.5), ConeBounds(), Tilt(2.0), Travel(1.5)],
+    "term", [TimeLost(2.0), Effort(0.7), JointLimits(3.0), Singularity(0.5), ConeBounds(), Tilt(2.0), TravelTerm(1.5)],
     ids=lambda term: term.name,
 )  # fmt: skip
 def test_a_term_of_the_program_is_its_price_to_first_order(term: Term, start_of: Callable[..., Start]) -> None:
@@ -145,7 +145,7 @@ def test_weights_are_factors(start_of: Callable[..., Start]) -> None:
         weighted = [term for term in terms_of(WeightsSpec(**{name: 0.25})) if getattr(term, "weight", 1.0) != 1.0]
         assert [term.name for term in weighted] == [name]
     assert sorted(term.name for term in DEFAULT if hasattr(term, "weight")) == sorted(WeightsSpec.model_fields)
-    for kind in (TimeLost, Effort, Tilt, Travel):
+    for kind in (TimeLost, Effort, Tilt, TravelTerm):
         assert start_of(kind(3.0))[2].price == pytest.approx(3.0 * start_of(kind())[2].price, rel=1e-12)
 
 

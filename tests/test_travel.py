@@ -19,7 +19,7 @@ from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel.clearance import NOZZLE_POINTS, SLOPE, TravelClearance, travel_clearance
 from planner.motion.travel.moves import Bounds, between, resting, time_beside
-from planner.motion.travel.plan import Task, plan_travels, quickest
+from planner.motion.travel.plan import TravelTask, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of, reaching
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
@@ -181,7 +181,7 @@ def travel(
     surface: Surface = PART,
 ) -> Cubics | None:
     space = travel_clearance(cell, surface, 0.0, lift, start, end)
-    return quickest(Task(cell, Ends(start, end, least, bounds_of(cell)), space, speed))
+    return quickest(TravelTask(cell, Ends(start, end, least, bounds_of(cell)), space, speed))
 
 
 @given(seed=st.integers(0, 2**32 - 1), speed=st.floats(0.02, 1.0))

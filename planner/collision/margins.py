@@ -23,7 +23,7 @@ from planner.collision.table import workspace_for
 NONE = -np.inf
 # Flags and numbers handed on to other kernels: plain ones are types of their own, for each of which all is compiled anew.
 YES, NO, FIRST = np.bool_(True), np.bool_(False), np.int64(0)
-MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Room.few`
+MIDDLE, TIP, NORMAL, PLACE = 0, 1, 2, 3  # rows of `Workspace.few`
 _DEEPEST = 128  # intervals that wait at once: twice the halvings of as many postures as an index can count
 SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
 
@@ -328,7 +328,7 @@ def _moved(frames, old, frame, x, y, z, reach):
 
 @inner_njit(error_model="numpy", inline="never")
 def let_go(table, room, past) -> None:
-    """Lower what margins have to spare by how far their two have moved since the posture before."""
+    """Reduce each stored lower bound by how far its two bodies have moved since the previous posture."""
     frame, ball, pair, look, first = table.frame, table.ball, table.pair, table.look, table.first
     tree_frame, T_frame_tree = table.tree_frame, table.T_frame_tree
     node_centre, node_reach = table.node_centre, table.node_reach

@@ -70,7 +70,9 @@ def with_fields(table: Table, **fields: NDArray[Any]) -> Table:
 
 class Workspace(NamedTuple):
     """Room for one thread: frames (nf, 4, 4), joints' origins and directions (nj, 6), bodies' middles (b, 3) and poses
-    of solids (b, 4, 4) in the world, which of these are known, directions that parted pairs (p, 3), simplex (4, 9)."""
+    of solids (b, 4, 4) in the world, which of these are known, directions that parted pairs (p, 3), simplex (4, 9), few
+    (4, 3) places of a body in a tree's frame, the pose T_solid_tree (4, 4), a search's room, and last (1), the pair that
+    lacked clearance last."""
 
     frames: Array
     lines: Array

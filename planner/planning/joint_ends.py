@@ -1,4 +1,4 @@
-"""Room to joints' ends given up where nothing else is left: a search that goes nearer to them than usual, and what it is told.
+"""Search again with a smaller margin to the joint limits where no path keeps the usual one.
 
 What is found so is refined, timed and verified with the joints' true ranges, as everything is.
 """

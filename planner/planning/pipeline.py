@@ -213,7 +213,7 @@ def solve(
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            judged = _headroom(tolerance, problem, cell, toolpath, rest, planned.travels, report, dt, second_process)
+            judged = _robustness(tolerance, problem, cell, toolpath, rest, planned.travels, report, dt, second_process)
     plan = Plan(
         problem=problem,
         cell=cell,
@@ -615,7 +615,7 @@ def _waypoints(toolpath: Toolpath) -> int:
     return sum(len(bead.s) for bead in toolpath.beads)
 
 
-def _headroom(
+def _robustness(
     tolerance: Tolerance,
     problem: Problem,
     cell: Cell,

@@ -632,7 +632,7 @@ def _route(nodes: Nodes, picked: NDArray[np.int64], price: float) -> Route:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Found: a route through the ladder's graph with what it was found on, and its angles.
+# LadderRoute: a route through the ladder's graph with what it was found on, and its angles.
 
 
 @dataclass(frozen=True)

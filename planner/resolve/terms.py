@@ -279,7 +279,7 @@ class Tilt(Term):
 
 
 @dataclass(frozen=True)
-class Travel(Term):
+class TravelTerm(Term):
     """ANCHOR times the square of what the ends of a bead move [rad] from where the search chose them for short travel."""
 
     weight: float = 1.0
@@ -320,7 +320,7 @@ def terms_of(weights: WeightsSpec, own: Sequence[Term] = ()) -> tuple[Term, ...]
         ConeBounds(),
         BodyClearance(),
         Tilt(weights.tilt),
-        Travel(weights.travel),
+        TravelTerm(weights.travel),
         *own,
     )
 

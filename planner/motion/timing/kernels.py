@@ -303,7 +303,8 @@ def overrun(room: Array, slack: Array) -> float:
 # takes its place. A step within the tangents is within the limits; the curvature that is left out is that of the
 # limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
 #
-# Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths.py`), so
+# Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths_of`,
+# `even_out`), so
 # that one hard place does not hold up all others. Those that are settled are left alone while others go on.
 #
 # Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex

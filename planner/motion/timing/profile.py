@@ -18,7 +18,7 @@ from planner.cell.cell import Limits
 from planner.motion.timing.kernels import APART, LimitRows, fastest, least_nearby, mean_nearby
 
 # ----------------------------------------------------------------------------------------------------
-# Curve: a spline as polynomials between its knots, so that all its derivatives cost little at many places: compiled.
+# PiecewiseCurve: a spline as polynomials between its knots, so that all its derivatives cost little at many places: compiled.
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def curve_of(spline: BSpline) -> PiecewiseCurve:
 
 @njit(cache=True, nogil=True)
 def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> Array:
-    """Coefficients (n, degree + 1, k) as in `Curve` between knots t[i] and t[i + 1], i of spans (n).
+    """Coefficients (n, degree + 1, k) as in `PiecewiseCurve` between knots t[i] and t[i + 1], i of spans (n).
 
     The control values c (m, k) that are felt there are differenced once for each derivative, and each of these splines
     evaluated at t[i] by de Boor's algorithm.
@@ -94,7 +94,7 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
 
 @njit(cache=True, nogil=True)
 def derivatives_at(breaks: Array, coefficients: Array, u: Array, orders: int) -> Array:
-    """Values and derivatives (1 + orders, m, k) at places u (m), of a curve as `Curve` has it; orders: at most 3.
+    """Values and derivatives (1 + orders, m, k) at places u (m), of a curve as `PiecewiseCurve` has it; orders: at most 3.
 
     Places in order are found from each other.
     """
@@ -220,7 +220,7 @@ def _chain(rates: Array, u1: Array, u2: Array, u3: Array) -> None:
 
 
 # ----------------------------------------------------------------------------------------------------
-# Program: the limits of a leg of a path, on a grid of its own, as the interior-point method takes them.
+# LegLimits: the limits of a leg of a path, on a grid of its own, as the interior-point method takes them.
 
 Allowed = Callable[[Array], tuple[Array, Array]]
 

@@ -107,7 +107,7 @@ class TravelClearance(ReadOnlyArrays):
         return self.height + min(self.lift, _ENOUGH)
 
     def lacking(self, points: Array) -> float:
-        """Whether nozzle points (k, n, 3) lack height to be clear: a height that is lacking [m]; 0 or less: clear.
+        """Greatest height that the nozzle points (k, n, 3) lack [m]; the way is clear where it is 0 or less.
 
         Most of a way is far from the part, and a distance changes by no more than a point moves: every 64th instant is
         looked at first, then those between that this leaves open.

@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
@@ -51,7 +50,7 @@ _LONGER = 1.0 + 1e-9  # of what it takes to keep a limit, for rounding
 
 
 @dataclass(frozen=True)
-class Task:
+class TravelTask:
     """One travel: its ends, what it keeps clear of, how fast the tip may move over the part [m/s].
 
     obstacles, now   what bodies keep clear of, when the print has come so far [beads]; margin: how much more than
@@ -130,7 +129,7 @@ def plan_travels(
         find = upright if process.travels_upright else with_time
         margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), _SPARE)
         least = float(margins.min(initial=_SPARE))
-        task = Task(cell, ends, space, process.travel_speed, obstacles, float(i), least - _ROUNDED)
+        task = TravelTask(cell, ends, space, process.travel_speed, obstacles, float(i), least - _ROUNDED)
         motion = find(task)
         if motion is None and obstacles.any:
             task = replace(task, margin=min(least, 0.0) - _SLIGHT)
@@ -174,7 +173,7 @@ def plan_travels(
     return travels
 
 
-def no_way(task: Task, find: Callable[[Task], Cubics | None]) -> str:
+def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str:
     """Why there is no way: what the one would run into that knows of no obstacles, if there is one."""
     motion = find(replace(task, obstacles=NOTHING)) if task.obstacles.any else None
     if motion is None:
@@ -223,7 +222,7 @@ class TravelWay:
     instead: tuple[TravelWay, ...] = ()
 
 
-def quickest(task: Task) -> Cubics | None:
+def quickest(task: TravelTask) -> Cubics | None:
     """The quickest of all ways that is clear and within limits; None if none is.
 
     To know a way's duration costs little, to see whether it is clear costs more. So ways are built in the order of
@@ -267,7 +266,7 @@ def quickest(task: Task) -> Cubics | None:
     return None
 
 
-def _look(task: Task, motion: Cubics) -> tuple[bool, float]:
+def _look(task: TravelTask, motion: Cubics) -> tuple[bool, float]:
     """Whether a motion is clear, and how fast its tip is [m/s].
 
     One that is too fast is only glanced at, which shows what runs into the part: it will be looked at when it is slowed
@@ -282,7 +281,7 @@ def _look(task: Task, motion: Cubics) -> tuple[bool, float]:
     return task.room.lacking(looked.points) <= 0.0 and task.hit(motion) < 0, looked.tip_speed
 
 
-def with_time(task: Task) -> Cubics | None:
+def with_time(task: TravelTask) -> Cubics | None:
     """The quickest way; if it has to last longer, what is to spare is waited where the nozzle is lifted, or at home.
 
     Where it has to last only a little longer, less than lifting takes, it is a slower one.
@@ -301,7 +300,7 @@ def with_time(task: Task) -> Cubics | None:
     return quickest(task)
 
 
-def upright(task: Task) -> Cubics | None:
+def upright(task: TravelTask) -> Cubics | None:
     """Up along the normal, the quickest way across, and down along the normal, at rest in between; None if none is clear.
 
     The way across keeps clear by the whole lift; time to spare is waited above the start. Both ends are at rest.
@@ -341,7 +340,7 @@ def along_normal(cell: Cell, ends: Ends, speed: float) -> Cubics | None:
     return None if built is None else built.motion
 
 
-def _is_clear(task: Task, motion: Cubics) -> bool:
+def _is_clear(task: TravelTask, motion: Cubics) -> bool:
     """Whether a motion is clear of the part, and within the limits of joints and tip."""
     if not within_limits(task.cell, motion):
         return False
@@ -350,7 +349,7 @@ def _is_clear(task: Task, motion: Cubics) -> bool:
     return slow and task.room.lacking(looked.points) <= 0.0 and task.hit(motion) < 0
 
 
-def _ways(task: Task, free: Caps) -> Iterator[TravelWay]:
+def _ways(task: TravelTask, free: Caps) -> Iterator[TravelWay]:
     """All ways; among those that take as long, the one that is preferred comes first."""
     cell, ends, room = task.cell, task.ends, task.room
     lift = room.lift
@@ -429,7 +428,7 @@ def carried_travels(
 
 def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState | None, speed: float) -> Cubics | None:
     """One way between other ends, its own where they are None; None where it would have to be slower, but cannot."""
-    start, end = start or _resting(way.start.q), end or _resting(way.end.q)
+    start, end = start or at_rest(way.start.q), end or at_rest(way.end.q)
     moved = between_ends(way, start, end)
     found, limits = extremes(moved), cell.limits
     times = max(
@@ -442,11 +441,6 @@ def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState 
     if start.resting and end.resting:
         return moved if times <= _LONGER else slower(moved, times * _LONGER)
     return moved if within_limits(cell, moved) and track(cell, moved).tip_speed <= speed else None
-
-
-def _resting(q: Array) -> JointState:
-    """At rest in a posture q (nq)."""
-    return JointState(q, np.zeros_like(q), np.zeros_like(q))
 
 
 def between_ends(way: Cubics, start: JointState, end: JointState) -> Cubics:
