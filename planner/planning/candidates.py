@@ -154,7 +154,7 @@ def _simpler_paths(
         each = [(model_of(own), [paths[i] for i in which]) for own, which in nozzles_of(cell, paths)]
         return [price for model, mine in each for price in given_prices(model, mine, settings).values()]
 
-    names = SIMPLER if given.start else SIMPLER[1:]  # what the ladder has refused it refuses again
+    names: tuple[str, ...] = SIMPLER if given.start else SIMPLER[1:]  # what the ladder has refused it refuses again
     most, worth_refining = np.inf, np.inf
     if own is not None and own.verified:
         covered = (waypoints > SMALL and len(cell.chosen) < 2) or (
