@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.random_cells import make_case
 from planner.base.errors import Refusal
-from planner.planning import context
+from planner.planning import candidates, context
 from planner.planning.candidates import HELD, PlannedPaths, _best, _leaves_to_be_desired
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -107,8 +107,9 @@ def test_a_helix_of_several_turns_is_printed(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_ends_are_held_where_refined_ones_cost_travel(tmp_path: Path) -> None:
-    """Two short beads of a seven-axes arm, whose elbow would be refined far from home."""
+def test_ends_are_held_where_refined_ones_cost_travel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two short beads of a seven-axes arm, whose elbow would be refined far from home; of others the ladder alone is asked."""
+    monkeypatch.setattr(candidates, "SIMPLER", ("ladder",))
     problem = load_problem(make_case("seven_axes", 702).write(tmp_path))
     plan, found = solve(problem, baseline=False), solve(problem, "ladder", baseline=False)
     assert plan.verified and found.verified

@@ -29,7 +29,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import Cones, NozzleTask, tasks_of
 
-ASIDE = [0.0, 0.5, 0.0]  # m
+ASIDE = [0.0, 0.3, 0.3]  # m
 SLIGHT = 2e-4  # m: what may lack between the instants that are looked at
 
 

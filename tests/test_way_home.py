@@ -50,7 +50,7 @@ def test_a_way_takes_as_long_as_its_slowest_joint_or_its_tip(searched: Searched)
         ]
         assert by_joints[k] == pytest.approx(HOME_PRICE * max(times))
         fine = cell.home[:6] + np.linspace(0.0, 1.0, 500)[:, None] * way
-        tips = (cell.arm.poses(fine) @ cell.T_flange_nozzle)[:, :3, 3]
+        tips = cell.T_part_nozzle(np.hstack([fine, np.tile(cell.home[6:], (len(fine), 1))]))[:, :3, 3]
         length = float(np.linalg.norm(np.diff(tips, axis=0), axis=1).sum())
         assert by_tip[k] == pytest.approx(HOME_PRICE * length / 1e-3, rel=0.02)
 

@@ -102,7 +102,7 @@ def _times(
     by_joints = np.where(far * a < v * v, 2.0 * np.sqrt(far / a), far / v + v / a).max(axis=1, initial=0.0)
     shares = np.linspace(0.0, 1.0, _LOOKS)[:, None]
     postures = home + shares[None] * way[:, None]
-    tips = (cell.arm.poses(postures.reshape(-1, len(home))) @ cell.T_flange_nozzle)[:, :3, 3].reshape(-1, _LOOKS, 3)
+    tips = cell.arm.poses(postures.reshape(-1, len(home)))[:, :3, 3].reshape(-1, _LOOKS, 3)
     by_tip = np.linalg.norm(np.diff(tips, axis=1), axis=2).sum(axis=1)
     if obstacles.any:
         holder = nodes.holder_joints(cell, rung)[there.nonzero()[1]]
