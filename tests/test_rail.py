@@ -33,6 +33,7 @@ from planner.resolve.baselines import fixed
 from planner.resolve.drawn import postures_drawn
 from planner.resolve.follow import PosturesFollowed, follow
 from planner.resolve.infeasible import _postures_at
+from planner.resolve.joint_path import at_rest
 from planner.resolve.ladder import _rest_angles, _with_one_joint, coarse_grid, paths_of
 from planner.resolve.reach import looked_at
 from planner.resolve.sqp import free_variables
@@ -516,6 +517,13 @@ def test_an_axis_whose_home_is_an_end_rests_near_it(at_an_end: Problem) -> None:
 def test_a_place_is_rated_with_an_axis_at_rest_near_its_end(at_an_end: Problem) -> None:
     cell, tasks = build_cell(at_an_end), tasks_of(at_an_end, build_toolpath(at_an_end))
     assert score(cell, course_of(tasks, 10, np.radians(30.0), at_an_end.resolve.rung), 0.05) > 0.1
+
+
+def test_an_axis_with_hardly_any_range_rests_in_its_middle(at_an_end: Problem) -> None:
+    cell = build_cell(at_an_end)
+    cell = replace(cell, limits=replace(cell.limits, q_max=np.append([0.05, 0.05], cell.limits.q_max[2:])))
+    np.testing.assert_allclose(at_rest(cell), [0.025, 0.025])
+    np.testing.assert_allclose(_rest_angles(cell, 1, np.radians(144.0), 1), [0.005, 0.025, 0.045])
 
 
 def test_all_of_a_range_is_looked_at_from_an_end(at_an_end: Problem) -> None:

@@ -239,11 +239,14 @@ class JointPath:
 def at_rest(cell: Cell) -> Array:
     """Where the chosen joints (k) rest: at home, or as near to it as a path may come to the ends of their ranges.
 
-    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice.
+    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice. In the
+    middle of ranges that are too narrow for that.
     """
     chosen = list(cell.chosen)
+    low, high = cell.limits.q_min[chosen], cell.limits.q_max[chosen]
     room = MARGIN + np.where(np.array(chosen, dtype=int) < len(cell.arm), cell.limits.room, MARGIN)
-    return np.clip(cell.home[chosen], cell.limits.q_min[chosen] + room, cell.limits.q_max[chosen] - room)
+    room = np.minimum(room, 0.5 * (high - low))
+    return np.clip(cell.home[chosen], low + room, high - room)
 
 
 def spread(values: Array, n: int, places: Array) -> Array:
