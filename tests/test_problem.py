@@ -280,7 +280,7 @@ MISTAKES: list[tuple[str, str, int, str, str, str]] = [
     ("[633.5, 9.87, 380]", "5", 8, "cell.positioner.origin_mm", "a list of 3 numbers, not 5", "mm"),
     ("[30, 20, 30, 90, -80, 60]", "[]", 5, "cell.home_deg", "1 to 12 numbers, not of 0", "-3600 to 3600 deg"),
     ("-80, 60]", "-80, 3601]", 5, "cell.home_deg", "number 6 3601 deg is too large", "-3600 to 3600 deg"),
-    ("[0, 3, 4]", "[0, 0, 0]", 4, "cell.nozzle.axis", "zero vector", "[0, 0, 1]"),
+    ("[0, 3, 4]", "[0, 0, 0]", 4, "cell.nozzle.axis", "zero vector", "not all of them 0"),
     ("count: 10", "count: 0", 21, "layers.count", "0 is too small", "1 to 10000"),
     ("count: 10", "count: 1000000000", 21, "layers.count", "1000000000 is too large", "1 to 10000"),
     ("count: 10", "count: 10.0", 21, "layers.count", "whole number", "1 to 10000"),
