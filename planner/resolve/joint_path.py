@@ -25,7 +25,7 @@ from planner.toolpath.task import FREE, Cones, NozzleTask
 # ----------------------------------------------------------------------------------------------------
 # What a nozzle task demands of the joints at the commanded speed: twists, their rates, and rungs.
 
-SAMPLESTURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
+SAMPLES_TURNING = 2  # at least, where the normal turns so quickly that a table could not keep up otherwise
 SAMPLES_PER_RUNG = 8  # at least: what roll and holder do between rungs must be resolved by the samples
 
 
@@ -137,7 +137,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
     clocks = [task.s / task.speed for task in tasks]
     for task, t in zip(tasks, clocks, strict=True):
         n = len(task)
-        place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLESTURNING)
+        place = places_along(task, spacing, SAMPLES_PER_RUNG, turn, SAMPLES_TURNING)
         at = np.round(place * (n - 1)).astype(np.int64)
         edges = np.concatenate([[0], (at[1:] + at[:-1]) // 2, [n]])
         rungs.append(at + offset)
