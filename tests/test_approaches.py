@@ -86,6 +86,16 @@ def test_too_many_postures_are_thinned_further(plan: Plan, monkeypatch: pytest.M
     assert len(coarse["sample"]) <= len(fine["sample"]) // 2 and coarse["off_mm"] > fine["off_mm"]
 
 
+def test_thinning_ends_where_the_first_looks_alone_would_be_too_many(
+    plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    most = len(plan.trajectory) // 50
+    monkeypatch.setattr("planner.report.scene.FIRST", 10)
+    monkeypatch.setattr("planner.report.scene.MOST_POSTURES", most)
+    kept = postures(plan.cell, plan.trajectory)["sample"]
+    assert len(kept) <= most and kept[-1] == len(plan.trajectory) - 1
+
+
 def test_a_cell_can_be_shown_without_a_plan(plan: Plan) -> None:
     view = cell_view(plan.cell)
     assert plan.view is not None and view.names == plan.view.names

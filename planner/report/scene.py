@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -126,7 +127,7 @@ def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Arra
 
 TOLERANCE = 0.5e-3  # m: how far off the tip may be between postures that the page has
 MOST_POSTURES = 60_000
-FIRST = 250  # samples between the first postures looked at
+FIRST = 250  # samples between the first postures looked at; more where these would be half of the most
 LOOKS = 7  # places within a stretch where the first looks are taken
 BLOCK = 65_536  # postures at once
 MOST_COLOURS = 255  # of a body
@@ -202,9 +203,10 @@ def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
     `sample` (k), `q` (k, nj) row by row, and `off_mm`, the furthest that the tip is off at any sample.
     """
     parts = [(own, rows.start, trajectory.part(rows)) for own, rows in by_nozzle(cell, trajectory.events, trajectory.t)]
+    apart = max(FIRST, math.ceil(2 * len(trajectory) / MOST_POSTURES))
 
     def within(tolerance: float) -> tuple[Indices, float]:
-        found = [(first, *_kept(own, part, tolerance)) for own, first, part in parts]
+        found = [(first, *_kept(own, part, tolerance, apart)) for own, first, part in parts]
         return np.concatenate([first + kept for first, kept, _ in found]), max(off for _, _, off in found)
 
     tolerance = TOLERANCE
@@ -219,11 +221,11 @@ def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
     }
 
 
-def _kept(cell: Cell, trajectory: Trajectory, tolerance: float) -> tuple[Indices, float]:
-    """Samples to keep, and how far off the tip is at most at all others [m]."""
+def _kept(cell: Cell, trajectory: Trajectory, tolerance: float, apart: int) -> tuple[Indices, float]:
+    """Samples to keep, one in `apart` of them whatever lies between, and how far off the tip is at most at others [m]."""
     n = len(trajectory)
     done: list[Indices] = []
-    knots = np.unique(np.append(np.arange(0, n, FIRST), n - 1))
+    knots = np.unique(np.append(np.arange(0, n, apart), n - 1))
     a, b = knots[:-1], knots[1:]
     while len(a):  # first only a few looks at each stretch
         shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
