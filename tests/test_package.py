@@ -105,8 +105,7 @@ def test_every_command_is_there() -> None:
     for name, command in launch.COMMANDS.items():
         folder, file = ROOT / "planner" / name / "__main__.py", ROOT / "planner" / f"{name}.py"
         assert (
-            name == "completion"
-            or folder.is_file()
+            folder.is_file()
             or file.is_file()
             or any((ROOT / "planner" / room / f"{name}.py").is_file() for room in ("feedback", "link"))
         )
@@ -119,6 +118,17 @@ def test_a_missing_extra_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytes
         monkeypatch.delitem(sys.modules, name)
     assert launch.launch("view", ["peer_cap"]) == 2
     assert "needs the package tornado (pip install 'beadwise[view]')" in capsys.readouterr().err
+
+
+def test_a_shell_completes_commands_whose_extras_are_missing() -> None:
+    code = f"""
+import sys
+sys.modules.update(dict.fromkeys({sorted(extras.EXTRAS)}))
+from planner.reference.completion import main
+main(["bash"])
+"""
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert "--beside" in ran.stdout and "completion" in ran.stdout
 
 
 def test_a_package_of_no_extra_is_a_bug() -> None:

@@ -1,4 +1,4 @@
-"""The parser of `python -m planner.reference`, and the files that it writes."""
+"""The parsers of `python -m planner.reference`, with the files that it writes, and of `python -m planner.completion`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ FILES = {
     "metrics": "reference/metrics.md",
     "commands": "reference/commands.md",
 }
+SHELLS = ("bash", "zsh", "tcsh")
 
 
 def reference_command() -> Command:
@@ -30,4 +31,19 @@ def reference_command() -> Command:
     )
     parser.add_argument("what", type=one_of(("all", *FILES)), metavar="WHAT", help=f"all, or one of {', '.join(FILES)}")
     parser.add_argument("--out", type=Path, default=Path("docs"), metavar="DIR", help="where all goes (default docs)")
+    return parser
+
+
+def completion_command() -> Command:
+    """The parser of `python -m planner.completion`."""
+    parser = Command(
+        "completion",
+        "Print a script with which a shell completes the commands of beadwise, their options, examples and robots.",
+        {
+            "bash > ~/.local/share/bash-completion/completions/beadwise": "for bash, from the next shell on",
+            "zsh > ~/.zfunc/_beadwise": "for zsh, where ~/.zfunc is in fpath",
+        },
+        {0: "printed", 2: "wrong input"},
+    )
+    parser.add_argument("shell", type=one_of(SHELLS), metavar="SHELL", help=f"one of {', '.join(SHELLS)}")
     return parser

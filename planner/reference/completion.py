@@ -9,14 +9,14 @@ from typing import Any
 
 import shtab
 
-from planner.base.command_line import Command, exit_code, one_of
+from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_VERIFIED
 from planner.base.launch import COMMANDS
 from planner.cell.robot import robot_names
 from planner.problem import shipped_problems
+from planner.reference.command import completion_command
 from planner.reference.pages import commands
 
-SHELLS = ("bash", "zsh", "tcsh")
 NAMED = {"problem": shipped_problems, "robot": robot_names}  # what an argument may name, besides files
 
 
@@ -24,21 +24,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = completion_command().parse_args(arguments)
     return exit_code(lambda: _run(options), lambda text: print(text, file=sys.stderr))
-
-
-def completion_command() -> Command:
-    """The parser of `beadwise completion`."""
-    parser = Command(
-        "completion",
-        "Print a script with which a shell completes the commands of beadwise, their options, examples and robots.",
-        {
-            "bash > ~/.local/share/bash-completion/completions/beadwise": "for bash, from the next shell on",
-            "zsh > ~/.zfunc/_beadwise": "for zsh, where ~/.zfunc is in fpath",
-        },
-        {0: "printed", 2: "wrong input"},
-    )
-    parser.add_argument("shell", type=one_of(SHELLS), metavar="SHELL", help=f"one of {', '.join(SHELLS)}")
-    return parser
 
 
 def _run(options: argparse.Namespace) -> int:

@@ -24,12 +24,12 @@ from planner.place.command import place_command
 from planner.plan.measures import CHECKS, COLUMNS, METRICS, Measure
 from planner.planning.check_command import check_command
 from planner.planning.options import solve_command
-from planner.reference.command import reference_command
+from planner.reference.command import completion_command, reference_command
 from planner.reference.markdown import table
 from planner.register.command import register_command
 from planner.robots.command import add_command
 from planner.simulate.command import simulate_command
-from planner.view.command import view_command
+from planner.view.options import view_command
 
 _METRICS_HEAD = """\
 # Metrics, checks and columns
@@ -97,7 +97,7 @@ def commands() -> tuple[Command, ...]:
         demo_command, solve_command, check_command, new_command, view_command, place_command, register_command,
         scan_command, learn_command, identify_write_command, identify_read_command, extruder_write_command,
         extruder_read_command, robots_command, add_command, link_command,
-        stream_command, egm_command, simulate_command, reference_command,
+        stream_command, egm_command, simulate_command, completion_command, reference_command,
     )  # fmt: skip
     return tuple(make() for make in makers)
 

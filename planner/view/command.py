@@ -20,13 +20,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from planner.base.command_line import Command, exit_code, one_of
+from planner.base.command_line import exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
-from planner.base.web.options import add_page_options, tell_address
+from planner.base.web.options import tell_address
 from planner.base.web.server import News, Server, listen
-from planner.planning.options import add_set, add_strategy
 from planner.problem import find_problem, load_problem, shipped_problems
-from planner.problem.settings import STRATEGY_NAMES
 from planner.report.wording import counted
 from planner.view.content import Content, flattened, mistake_of, read_content, signatures
 from planner.view.machine import (
@@ -45,6 +43,7 @@ from planner.view.machine import (
     figures_of,
     step,
 )
+from planner.view.options import view_command
 from planner.view.server import snapshot, view_site
 from planner.view.solver import Solver
 
@@ -304,34 +303,3 @@ def _ready(subject: Subject, browser: bool, server: Server) -> None:
     what = "results in" if subject.folder else "problem"
     tell_address(f"live view of {what} {subject.path}", server.address, server.address_once() if browser else None)
     print("Ctrl-C ends it", file=sys.stderr)
-
-
-def view_command() -> Command:
-    """The parser of `python -m planner.view`."""
-    parser = Command(
-        "view",
-        "Show a problem's report in the browser, and solve it anew whenever its files are saved. Nothing is written: "
-        "planner.solve does that.",
-        {
-            "my_part.yaml": "solve, show, and solve again on every save",
-            "my_part.yaml --strategy ladder --beside as_published": "two strategies side by side",
-            "my_part.yaml --set layers.count=1": "with a field changed",
-            "out/my_part": "show what planner.solve writes there, whenever it does",
-        },
-        {0: "ended otherwise than by Ctrl-C", 2: "wrong input, or a port that is taken", 130: "ended by Ctrl-C"},
-    )
-    parser.add_argument(
-        "subject",
-        metavar="PROBLEM|OUT_DIR",
-        help="problem file (.yaml), or the name of a shipped one (solve --list); or a folder of results",
-    )
-    add_strategy(parser)
-    parser.add_argument(
-        "--beside", type=one_of(STRATEGY_NAMES), metavar="NAME", help="another strategy, in a second pane"
-    )
-    add_set(parser)
-    parser.add_argument(
-        "--no-drafts", dest="drafts", action="store_false", help="no draft of one layer first where a print is large"
-    )
-    add_page_options(parser, "--port")
-    return parser
