@@ -56,6 +56,7 @@ def make_plan(
         q_min=np.radians([-180, -90, -230, -200, -115, -400, -np.inf]),
         q_max=np.radians([180, 110, 50, 200, 115, 400, np.inf]),
         sliding=(),
+        turns=np.ones(7, dtype=bool),
     )
     flow = np.where(deposit, cat["speed"] * 0.3e-6, 0.0)
     ratio = np.abs(np.column_stack([np.cos(phase * (3 + j)) for j in range(7)]))

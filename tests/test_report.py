@@ -574,6 +574,14 @@ def test_joints_are_told_for_the_whole_motion_as_the_metrics_are() -> None:
     assert found["jerk_ratio_max"].joint == "joint_1" and found["jerk_ratio_max"].help == places.IN_TRAVEL
 
 
+def test_of_end_stops_the_joint_is_one_that_turns() -> None:
+    plan = make_plan(20_000)
+    worst = worst_samples(plan)["joint_limit_margin_deg"]
+    limits = plan.cell.limits
+    limits.q_max[3], limits.turns[3] = plan.q[worst.sample, 3] + 1e-3, False  # a rail, a millimetre from its end
+    assert worst.joint != "joint_4" and worst_samples(plan)["joint_limit_margin_deg"] == worst
+
+
 def test_how_to_make_it_again(tmp_path: Path) -> None:
     plan = dataclasses.replace(make_plan(4_000), settings={"overrides": ["process.speed_mm_s=25"]})
     write_report(plan, tmp_path / "r.html")

@@ -317,7 +317,7 @@ def _busiest(plan: Plan, name: str, sample: int) -> int:
 
 
 def _at_its_end(plan: Plan, sample: int) -> str:
-    """Name of the joint that is nearest to its end stop."""
+    """Name of the joint that is nearest to its end stop, of those that turn: metres are no nearer than radians."""
     limits, q = plan.cell.limits, plan.trajectory.q[sample]
-    margin = np.minimum(q - limits.q_min, limits.q_max - q)
+    margin = np.where(limits.turns, np.minimum(q - limits.q_min, limits.q_max - q), np.inf)
     return str(plan.cell.joint_names[int(margin.argmin())])
