@@ -485,6 +485,11 @@ def test_a_figure_has_one_row_and_one_name() -> None:
     assert [row.key for row in found.rows if row.place is not None] == list(range(len(found.places)))
 
 
+def test_every_place_has_letters_of_its_own() -> None:
+    letters = [places.letter(k) for k in range(800)]
+    assert letters[25:28] == ["Z", "AA", "AB"] and letters[702] == "AAA" and len(set(letters)) == 800
+
+
 def test_a_solved_plans_figures_each_have_one_row() -> None:
     """No two rows tell one value of one check or metric; checks and metrics of the plan are all there."""
     plan = small_plan()

@@ -257,8 +257,9 @@ def dip_place(plan: Plan, dip: Dip) -> ReportPlace:
 
 
 def letter(k: int) -> str:
-    """The letter of the k-th place."""
-    return chr(ord("A") + k % 26)
+    """The letter of the k-th place: A to Z, then AA, AB and so on."""
+    before, last = divmod(k, 26)
+    return (letter(before - 1) if before else "") + chr(ord("A") + last)
 
 
 def _remedies(dip: Dip, commanded: float) -> str:
