@@ -69,6 +69,14 @@ def test_own_robot_and_its_urdf_are_watched(tmp_path: Path) -> None:
     assert {file.name for file in named} == {"irb140.yaml", "irb140.urdf", "small.svg"}
 
 
+def test_own_rail_and_its_urdf_are_watched(tmp_path: Path) -> None:
+    for name in ("track_3m.yaml", "track_3m.urdf"):
+        (tmp_path / name).write_bytes((ROOT / "robots" / name).read_bytes())
+    base = "arm: irb140\n  base: {robot: track_3m.yaml, free: [rail]}"
+    _, named = read_content(write_small(tmp_path, ("arm: irb140", base)), ())
+    assert {file.name for file in named} == {"track_3m.yaml", "track_3m.urdf", "small.svg"}
+
+
 def test_changes_are_told_by_field() -> None:
     before = Content((("a.b", "1"), ("list", "[1, 2]"), ("gone", "x")))
     after = Content((("a.b", "2"), ("list", "[1, 2]"), ("new", "true")))

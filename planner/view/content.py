@@ -146,8 +146,8 @@ def _short(text: str) -> str:
 def _with_urdf(problem: Problem) -> Iterator[Path]:
     """Files that a problem names, and those that the user's own robots name in turn."""
     yield from _paths(problem)
-    holder = problem.cell.positioner
-    for robot in (problem.cell.arm, None if holder is None else holder.robot):
+    others = [spec.robot for spec in (problem.cell.carrier, problem.cell.positioner) if spec is not None]
+    for robot in (problem.cell.arm, *others):
         if isinstance(robot, Path) and robot.is_file():
             urdf = read_robot_file(robot).data.get("urdf")
             if isinstance(urdf, str):
