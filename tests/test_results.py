@@ -81,6 +81,15 @@ def test_no_program_of_an_earlier_plan_stays(kind: str, tmp_path: Path) -> None:
     assert contents(tmp_path) == {"report.html": "refused"}
 
 
+@pytest.mark.parametrize("kind", ["krl", "linuxcnc"])
+def test_programs_name_all_that_made_them(kind: str) -> None:
+    language, made = MADE[kind]
+    used = versions()
+    text = "".join(dict(LANGUAGES[language].write(replace(made(), versions=used))).values())
+    assert {"coal", "pyvrp", "shapely", "cadquery-ocp-novtk", "trimesh"} <= set(used)
+    assert all(f"{name} {version}" in text for name, version in used.items())
+
+
 def test_files_of_others_stay_as_they_are(tmp_path: Path) -> None:
     """Whatever stands in them: an edited copy of a program keeps its header."""
     theirs = {"Logo_slower.mod": "! beadwise 0.2.0\nMODULE Logo\nENDMODULE\n", "notes.txt": "", "photo.png": "x"}

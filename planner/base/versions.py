@@ -5,7 +5,10 @@ from __future__ import annotations
 import platform
 from importlib.metadata import version
 
-PACKAGES = ("beadwise", "numpy", "scipy", "numba", "pin", "ruckig", "svgelements", "pydantic")
+PACKAGES = (
+    "beadwise", "cadquery-ocp-novtk", "coal", "numba", "numpy", "pin", "pydantic", "pyvrp", "ruckig", "scipy", "shapely",
+    "svgelements", "trimesh",
+)  # fmt: skip
 
 
 def versions() -> dict[str, str]:

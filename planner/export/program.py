@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from planner.base.arrays import Array, Indices
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import continuous, slerp
+from planner.export.text import LONGEST_COMMENT
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -49,11 +51,11 @@ class ProblemSetup:
 
 
 def about(plan: Plan) -> list[str]:
-    """Problem, versions, size, where it resumes, and what was verified, a line each."""
+    """Problem, versions, size, where it resumes, and what was verified, line by line."""
     m = plan.metrics
     return [
         f"Problem {plan.name}, strategy {plan.strategy}",
-        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
+        *made_with(plan),
         f"{len(plan.beads)} beads in {plan.layers} layers, "
         f"{m['deposited_length_mm']:.1f} mm deposited, {m['print_time_s']:.1f} s",
         *resumed(plan),
@@ -61,6 +63,12 @@ def about(plan: Plan) -> list[str]:
         "Verified before it was written:",
         *verified(plan),
     ]
+
+
+def made_with(plan: Plan) -> list[str]:
+    """Versions of what the plan was made with, in as many comments as they need."""
+    versions = ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items()))
+    return textwrap.wrap(versions, LONGEST_COMMENT, break_on_hyphens=False)
 
 
 def resumed(plan: Plan) -> list[str]:

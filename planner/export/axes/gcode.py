@@ -21,7 +21,7 @@ from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, nearest_fraction
-from planner.export.program import resumed, verified
+from planner.export.program import made_with, resumed, verified
 from planner.export.speeds import TIME_TOLERANCE
 from planner.export.support import STATION
 from planner.export.text import ascii_comment, beyond, number
@@ -137,7 +137,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     size = f"{len(plan.beads)} beads in {plan.layers} layers"
     texts = [
         f"{plan.name} for {spec.flavour}, {spec.type}, strategy {plan.strategy}",
-        ", ".join(f"{name} {version}" for name, version in sorted(plan.versions.items())),
+        *made_with(plan),
         f"{size}, {targets} targets, {plan.trajectory.t[-1] - plan.trajectory.t[0]:.3f} s",
         *resumed(plan),
         "Verified for the robot before it was written:",
