@@ -220,6 +220,12 @@ def test_nothing_in_a_file_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not Path("evil").exists()
     with pytest.raises(InputError, match="there is no such file"):
         Plan.load("nowhere.npz")
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+        Plan.load(tmp_path)
+    with zipfile.ZipFile("f.npz", "w") as archive, archive.open("structure.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (10**17,)})
+    with pytest.raises(InputError, match="more than there is memory for"):
+        Plan.load("f.npz")
 
 
 def test_what_cannot_be_written_is_told_and_leaves_nothing(tmp_path: Path) -> None:

@@ -46,9 +46,7 @@ _UNREADABLE = (
     TypeError,
     KeyError,
     EOFError,
-    OSError,
     RuntimeError,
-    MemoryError,
 )
 _UNLIKE = (TypeError, OverflowError, ValueError, KeyError, IndexError, AttributeError, ImportError, RecursionError)
 
@@ -93,6 +91,10 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
         found = json.loads(arrays.pop(_TEXT).tobytes().decode())
     except FileNotFoundError as error:
         raise InputError("there is no such file", file=source) from error
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror or error}", file=source) from error
+    except MemoryError as error:
+        raise InputError("holds more than there is memory for", file=source) from error
     except _UNREADABLE as error:
         raise InputError("is no plan that was saved", file=source, hint="plan.save(path) makes one") from error
     if not isinstance(found, dict) or found.get("format") != FORMAT:
