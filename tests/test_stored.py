@@ -163,7 +163,7 @@ def _named(home: str) -> Callable[[dict[str, Any], dict[str, Any]], object]:
     return lambda text, arrays: text["plan"].update(toolpath=[home, ["true"]])
 
 
-@pytest.mark.slow(keep=("<lambda>0", "<lambda>8", "<lambda>16", "<lambda>17", "<lambda>18"))
+@pytest.mark.slow(keep=("<lambda>0", "<lambda>8", "<lambda>16", "<lambda>17", "<lambda>18", "<lambda>20", "<lambda>21"))
 @pytest.mark.parametrize(
     "change",
     [
@@ -191,6 +191,8 @@ def _named(home: str) -> Callable[[dict[str, Any], dict[str, Any]], object]:
         lambda text, arrays: arrays.pop("float64"),
         lambda text, arrays: arrays.update(float64=arrays["float64"][:10]),
         lambda text, arrays: text.clear(),
+        lambda text, arrays: text["plan"].update(checks=5),
+        lambda text, arrays: text["plan"].update(headroom=5),
     ],
 )
 def test_a_file_of_anything_else_is_refused(

@@ -20,6 +20,7 @@ from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.plan.frames import data_frame, data_set
+from planner.plan.robustness import Robustness
 from planner.plan.stored import save, stored_parts
 from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from planner.plan.robustness import Robustness
     from planner.report.inline import InlineScene
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
@@ -322,12 +322,12 @@ class Plan:
         """
         parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
         wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
-        wrong += [name for name, kind in ITEMS.items() if not all(isinstance(each, kind) for each in parts[name])]
+        items = {name: kind for name, kind in ITEMS.items() if name not in wrong}
+        wrong += [name for name, kind in items.items() if not all(isinstance(each, kind) for each in parts[name])]
+        _require_none(wrong, path)
         cell = build_cell(parts["problem"])
-        motions = {name: parts[name] for name in ("trajectory", "asked") if name not in wrong}
-        wrong += [n for n, each in motions.items() if each is not None and not each.is_of(len(cell.joint_names))]
-        if wrong:
-            raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")
+        motions = [(name, parts[name]) for name in ("trajectory", "asked") if parts[name] is not None]
+        _require_none([name for name, each in motions if not each.is_of(len(cell.joint_names))], path)
         return cls(cell=cell, **parts)
 
     @property
@@ -485,12 +485,21 @@ KINDS: dict[str, type | tuple[type, ...]] = {
     **dict.fromkeys(("strategy", "resolved_by"), str),
     **dict.fromkeys(("metrics", "series", "timing_s", "versions", "baseline", "settings", "seal"), dict),
     **dict.fromkeys(("checks", "dips", "advice", "approaches", "paths", "roll_maps"), tuple),
+    "problem": Problem,
+    "toolpath": Toolpath,
     "trajectory": Trajectory,
+    "headroom": (Robustness, type(None)),
     "view": (CellView, type(None)),
     "nearer": (Nearer, type(None)),
     "asked": (Trajectory, type(None)),
 }
 ITEMS: dict[str, type] = {"checks": Check, "dips": Dip, "advice": Advice, "approaches": Approach}
+
+
+def _require_none(wrong: Sequence[str], path: str | Path) -> None:
+    """Raise InputError for a file some of whose fields are not of a plan."""
+    if wrong:
+        raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")
 
 
 def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDArray[Any]]:

@@ -10,12 +10,15 @@ import math
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
-from planner.plan.plan import Check
+
+if TYPE_CHECKING:
+    from planner.plan.plan import Check
 
 Vector = tuple[float, float, float]
 
