@@ -137,6 +137,8 @@ def test_folder_of_results_says_what_came_of_it(tmp_path: Path) -> None:
     failed = read_results(write_results(tmp_path / "out", verified=False, checks=[{"name": "reach", "ok": False}]))[2]
     assert (failed.kind, failed.words) == ("failed", "not verified: reach; 3 beads, 1 layer")
     assert read_results(write_results(tmp_path / "out", verified=False, metrics={}))[2].kind == "refused"
+    none = read_results(write_results(tmp_path / "out", verified=False, checks=None))[2]
+    assert (none.kind, none.words) == ("failed", "not verified: see the report; 3 beads, 1 layer")
 
 
 @pytest.mark.parametrize("text", ["", "[", "[1, 2]", '{"problem": 3}', "[" * 100_000, "\x00"])

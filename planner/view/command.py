@@ -81,7 +81,8 @@ def _outcome(plan: dict[str, Any]) -> SolveOutcome:
     numbers = {k: float(v) for k, v in _section(plan, "metrics").items() if isinstance(v, int | float)}
     if not numbers:
         return SolveOutcome("refused", "no plan: the report says why")
-    checks = plan.get("checks", [])
+    checks = plan.get("checks")
+    checks = checks if isinstance(checks, list) else []
     failed = [str(check.get("name")) for check in checks if isinstance(check, dict) and check.get("ok") is not True]
     size = counted(numbers.get("beads", 0), "bead") + ", " + counted(numbers.get("layers", 0), "layer")
     if plan.get("verified") is True:
