@@ -94,6 +94,7 @@ WRONG = (
     "cell.nozzle.diameter_mm=-1",
     "cell.nozzle.diameter_mm='0.6'",
     "cell.positioner.robot=irbp",
+    "cell.base={robot: irb140, free: []}",
     "cell.positioner.base_mm=[0, 0, 0]",
     "cell.positioner.free=rotation",
     "cell.fixtures={table: {box_mm: [1, 1, 1], mesh: a.stl}}",
@@ -124,7 +125,7 @@ def test_what_the_loader_refuses_the_schema_refuses(change: str) -> None:
         refused = False
     except ValueError:
         refused = True
-    if not change.startswith(("cell.arm", "cell.positioner.robot")):  # which only the cell finds out
+    if not change.startswith(("cell.arm", "cell.positioner.robot", "cell.base")):  # which only the cell finds out
         assert refused
     assert seen
 

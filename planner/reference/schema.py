@@ -35,6 +35,7 @@ def problem_schema() -> str:
     }
     for name, key, own in (
         ("CellSpec", "arm", list(shipped_robots(arms=True))),
+        ("CarrierSpec", "robot", list(shipped_robots(arms=False))),
         ("PositionerSpec", "robot", robot_names()),
     ):
         field = defs[name]["properties"][key]
