@@ -188,7 +188,7 @@ def write_folder(plan, folder: Path) -> None:
         "strategy": plan.strategy,
         "verified": plan.verified,
         "metrics": plan.metrics,
-        "dips": [{"t_s": dip.t, "lost_s": dip.lost} for dip in plan.dips],
+        "dips": [{"t_s": dip.t, "lost_s": dip.lost, "limit": dip.limit} for dip in plan.dips],
     }
     (folder / "plan.json").write_text(json.dumps(summary))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -38,13 +39,16 @@ def test_picture_shows_the_lines_on_the_part(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_picture_marks_dips_on_the_near_side(tmp_path: Path) -> None:
     plan = make_plan(6_000)
+    dipped = with_dips(plan)
+    resting = replace(dipped, dips=tuple(replace(dip, limit="stop") for dip in dipped.dips))
     pictures = []
-    for name, each in (("none", plan), ("some", with_dips(plan))):
+    for name, each in (("none", plan), ("rests", resting), ("some", dipped)):
         write_folder(each, tmp_path / name)
         picture.draw_picture(tmp_path / name, tmp_path / f"{name}.png")
         pictures.append(imread(tmp_path / f"{name}.png")[:, :, :3])
+    assert (pictures[0] == pictures[1]).all(), "rests that were planned are no dips"
     half = pictures[0].shape[1] // 2
-    none, some = (image[:, :half] for image in pictures)
+    none, some = (image[:, :half] for image in pictures[::2])
     dots = (some.min(axis=2) > 0.97) & (none.max(axis=2) < 0.97)
     rims = (some.max(axis=2) < 0.1) & (none.max(axis=2) > 0.2)
     assert dots.sum() > 100 and rims.sum() > 100

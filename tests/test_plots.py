@@ -81,6 +81,13 @@ def test_the_speed_reached_stays_below_the_ceiling_of_velocity(ax: Axes) -> None
     assert min(reached.get_ydata()) == pytest.approx(plan.metrics["speed_min_mm_s"], rel=0.05)
 
 
+def test_a_rest_that_was_planned_is_no_dip(ax: Axes) -> None:
+    plan = small_plan()
+    first, *others = plan.dips
+    plots.speed(replace(plan, dips=(replace(first, limit="stop"), *others)), ax)
+    assert f"dips: {len(others)}" in ax.get_legend_handles_labels()[1]
+
+
 def test_ranges_are_those_used(ax: Axes) -> None:
     plan = small_plan()
     plots.joint_ranges(plan, ax)

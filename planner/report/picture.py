@@ -98,6 +98,7 @@ LEAST_DOT = 0.03  # of the costliest dip's time: cheaper ones are not marked
 SMALLEST_DOT, LARGEST_DOT = 5.0, 40.0  # of a dip, square points
 SOFT = "#5b6b7b"
 PART_LIT, PART_DARK = np.array([238.0, 242.0, 246.0]), np.array([176.0, 187.0, 199.0])
+REST = "stop"  # limit of a dip that is none: a rest that was planned
 _FLAT = 1e-12  # mm^2: a triangle without an area
 COLOUR_MAP = LinearSegmentedColormap.from_list("calm", COLOURS)
 
@@ -114,6 +115,7 @@ def draw_picture(folder: Path, picture: Path) -> None:
     points = np.column_stack([rows["x_mm"], rows["y_mm"], rows["z_mm"]])
     normals = -np.column_stack([rows["ax"], rows["ay"], rows["az"]])
     part = read_part(folder)
+    summary["dips"] = [dip for dip in summary.get("dips", []) if dip["limit"] != REST]
     metrics = summary["metrics"]
     ideal = metrics.get("ideal_deposition_time_s") or np.nan
     commanded = metrics.get("deposited_length_mm", np.nan) / ideal
@@ -124,8 +126,8 @@ def draw_picture(folder: Path, picture: Path) -> None:
     figure = Figure(figsize=(12.0, 6.4), dpi=150, facecolor="white")
     scene = figure.add_axes((0.01, 0.02, 0.52, 0.96))
     _draw_scene(scene, points, normals, rows, printing, part, norm)
-    _mark_dips(scene, points, normals, rows["t_s"], summary.get("dips", []), _view(normals[printing]))
-    _draw_words(figure, summary, commanded)
+    _mark_dips(scene, points, normals, rows["t_s"], summary["dips"], _view(normals[printing]))
+    _draw_words(figure, summary)
     _draw_speed(figure.add_axes((0.60, 0.13, 0.37, 0.32)), rows, printing, commanded, norm)
     try:
         FigureCanvasAgg(figure).print_png(str(picture), metadata={"Software": None})
@@ -222,15 +224,15 @@ def _draw_part(axes: Any, triangles: Array, right: Array, up: Array, eye: Array)
     return flat.reshape(-1, 2)
 
 
-def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> None:
-    metrics = summary["metrics"] | {"dips": len(summary.get("dips", []))}
+def _draw_words(figure: Figure, summary: dict[str, Any]) -> None:
+    metrics = summary["metrics"] | {"dips": len(summary["dips"])}
     figure.text(0.575, 0.895, summary["problem"], fontsize=21, weight="bold", color=INK, parse_math=False)
     verdict = "✓ verified" if summary["verified"] else "✗ not verified"
     colour = "#00599c" if summary["verified"] else ALARM
     figure.text(0.575, 0.838, verdict, fontsize=13, weight="bold", color=colour)
     figure.text(0.69, 0.838, f"strategy {summary['strategy']}", fontsize=13, color=SOFT, parse_math=False)
     rows = [
-        ("at_speed_fraction", 100.0, "{:.2f} %", f"of the length at {commanded:.3g} mm/s"),
+        ("at_speed_fraction", 100.0, "{:.2f} %", "of the length at the commanded speed"),
         ("speed_min_mm_s", 1.0, "{:.1f} mm/s", "slowest while depositing"),
         ("dips", 1.0, "{:.0f}", "dips in speed, white dots by time lost"),
         ("sigma_min", 1.0, "{:.3f}", "least distance from singularity, σ"),
@@ -248,7 +250,10 @@ def _draw_words(figure: Figure, summary: dict[str, Any], commanded: float) -> No
 def _draw_speed(
     axes: Any, rows: dict[str, Array], printing: NDArray[np.bool_], commanded: float, norm: Normalize
 ) -> None:
-    """Tip speed over time while depositing, coloured as in the scene: that makes it the legend too."""
+    """Tip speed over time while depositing, coloured as in the scene: that makes it the legend too.
+
+    Dashed is the commanded speed, the mean of several.
+    """
     index, begin, end = stretches(printing, rows["bead"].astype(int))
     speed = rows["speed_mm_s"][index]
     kept = thin_curve(speed, always=np.union1d(begin, end))

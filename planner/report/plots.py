@@ -18,6 +18,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError, nearest_name
 from planner.plan import Plan
 from planner.report.joints import shown_units
+from planner.report.places import without_stops, worst_first
 from planner.report.scene import COLOURS as COLOURS_OF_SCENES
 from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, spline_of
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
@@ -78,7 +79,7 @@ def speed(plan: Plan, ax: Axes | None = None, bead: int | None = None) -> Axes:
     else:
         ax.axhline(commanded[rows[0]], color=SOFT, linestyle="--", linewidth=1.0, label="commanded")
     ax.plot(x[window], y[window], color=COLOURS[0], linewidth=1.2, label="reached")
-    dips = sorted((dip for dip in plan.dips if bead is None or dip.bead == bead), key=lambda dip: -dip.lost)
+    dips = worst_first([dip for dip in without_stops(plan.dips) if bead is None or dip.bead == bead])
     at = np.array([(dip.t if bead is None else dip.at_s * 1e3, dip.speed * 1e3) for dip in dips]).reshape(-1, 2)
     ax.scatter(at[:, 0], at[:, 1], s=22, color="white", edgecolor=ALARM, zorder=3, label=f"dips: {len(dips)}")
     _name_worst(ax, [(where, low, dip.cause) for dip, (where, low) in zip(dips, at.tolist(), strict=True)], x[window])
