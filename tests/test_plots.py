@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from solved import small_plan
 
 from planner import plots
@@ -95,6 +96,26 @@ def test_ranges_are_those_used(ax: Axes) -> None:
     q = np.degrees(plan.q[plan.deposit])
     np.testing.assert_allclose([bar.get_x() for bar in bars], q.min(axis=0))
     np.testing.assert_allclose([bar.get_width() for bar in bars], np.ptp(q, axis=0))
+
+
+def test_a_long_rail_ends_where_it_does(ax: Axes) -> None:
+    plan = small_plan()
+    of_plan, last = plan.cell.limits, len(plan.joint_names) - 1
+    low, high = (np.append(ends[:-1], end) for ends, end in ((of_plan.q_min, 0.0), (of_plan.q_max, 3.0)))
+    limits = replace(of_plan, sliding=(last,), q_min=low, q_max=high)
+    plots.joint_ranges(replace(plan, cell=replace(plan.cell, limits=limits)), ax)
+    rail = ax.containers[0][last]
+    assert (rail.get_x(), rail.get_width()) == (0.0, 3000.0) and ax.get_xlim()[1] > 3000.0
+
+
+def test_a_thinned_path_keeps_its_slowest_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plots, "MOST_SEGMENTS", 100)
+    plan = small_plan()
+    drawn = plots.toolpath(plan)
+    (lines,) = [each for each in drawn.collections if isinstance(each, Line3DCollection)]
+    assert len(lines.get_array()) <= 100
+    assert lines.get_array().min() == pytest.approx(plan.metrics["speed_min_mm_s"])
+    plt.close(drawn.figure)
 
 
 def test_excluded_areas_are_hatched_each_in_its_way(ax: Axes) -> None:

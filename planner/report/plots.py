@@ -20,6 +20,7 @@ from planner.plan import Plan
 from planner.report.joints import shown_units
 from planner.report.places import without_stops, worst_first
 from planner.report.scene import COLOURS as COLOURS_OF_SCENES
+from planner.report.thinning import keep_minima, stretches, turning
 from planner.resolve.joint_path import ORDERS, ByArcLength, by_arc_length, spline_of
 from planner.resolve.roll_map import COLLISION, LIMITS, REACH, SINGULAR, RollMap
 
@@ -161,8 +162,9 @@ def joint_ranges(plan: Plan, ax: Axes | None = None) -> Axes:
     ax = tidy(axes_of(ax, figsize=(9.0, 0.6 + 0.38 * len(names))))
     scale, units = shown_units(plan.cell)
     low, high, q = scale * plan.cell.limits.q_min, scale * plan.cell.limits.q_max, scale * plan.q
-    ends = np.abs(np.concatenate([low, high]))
-    widest = 1.1 * max(float(np.abs(q).max()), float(ends[ends <= _ENDLESS].max(initial=180.0)))
+    far = np.abs([low, high])
+    shown = np.isfinite(far) & ((far <= _ENDLESS) | (np.array(units) == "mm"))
+    widest = 1.1 * max(float(np.abs(q).max()), float(far[shown].max(initial=180.0)))
     rows = np.arange(len(names))[::-1]
     ends = np.clip(low, -widest, widest), np.clip(high, -widest, widest)
     ax.barh(rows, ends[1] - ends[0], left=ends[0], height=0.7, color=FAINT, label="range")
@@ -325,10 +327,12 @@ def toolpath(plan: Plan, ax: Any = None, measure: str = "speed") -> Any:
     if ax is None:
         ax = plt.figure(figsize=(7.0, 5.5), layout="constrained").add_subplot(projection="3d")
     values = _values(plan, measure)
-    every = max(1, int(np.ceil(plan.deposit.sum() / MOST_SEGMENTS)))
-    rows = np.flatnonzero(plan.deposit)[::every]
+    index, begin, end = stretches(plan.deposit, plan.bead)
+    sharp = turning(plan.tip[index], begin, end)
+    kept = keep_minima([values[index], -sharp, np.zeros(len(index))], MOST_SEGMENTS, np.union1d(begin, end))
+    rows = index[kept]
     points = plan.tip[rows] * 1e3
-    joined = plan.bead[rows][1:] == plan.bead[rows][:-1]
+    joined = ~np.isin(kept[1:], begin)
     segments = np.stack([points[:-1], points[1:]], axis=1)[joined]
     lines = Line3DCollection(list(segments), cmap=MAP, linewidths=1.6)
     lines.set_array(np.minimum(values[rows][1:], values[rows][:-1])[joined])
