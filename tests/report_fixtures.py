@@ -57,9 +57,12 @@ def make_plan(
         q_max=np.radians([180, 110, 50, 200, 115, 400, np.inf]),
         sliding=(),
         turns=np.ones(7, dtype=bool),
+        velocity=np.full(7, 3.0),
+        acceleration=np.full(7, 20.0),
+        jerk=np.full(7, 400.0),
     )
     flow = np.where(deposit, cat["speed"] * 0.3e-6, 0.0)
-    ratio = np.abs(np.column_stack([np.cos(phase * (3 + j)) for j in range(7)]))
+    ratio = np.abs(np.cos(phase * 3))
     quat = np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
     trajectory = Trajectory(
         dt=DT, t=t, bead=bead, layer=cat["layer"].astype(np.int32), deposit=deposit, s=cat["s"], q=q, tip=cat["tip"],

@@ -457,7 +457,7 @@ def test_a_refusal_shows_the_place_in_the_cell(browser: Browser, tmp_path: Path)
 @pytest.mark.usefixtures("few_charts")
 def test_on_a_phone_nothing_overflows_and_a_failed_check_is_where_it_opens(browser: Browser, tmp_path: Path) -> None:
     plan = with_dips(make_plan(4_000, ok=False))
-    at = int(plan.series["jerk_ratio"][: len(plan.trajectory) // 2].max(axis=1).argmax())
+    at = int(plan.series["jerk_ratio"][: len(plan.trajectory) // 2].argmax())
     checks = tuple(c if c.ok else dataclasses.replace(c, sample=at) for c in plan.checks)
     write_report(dataclasses.replace(plan, checks=checks), tmp_path / "r.html")
     with opened(browser, tmp_path / "r.html", PHONE) as found:

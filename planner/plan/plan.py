@@ -263,7 +263,7 @@ class Plan:
 
     resolved_by: strategy whose paths these are: the default takes a simpler one's where that is better; empty if not known
     metrics:  name → value, in the units that the name says (see the output contract in the docs)
-    series:   per-sample arrays (n,) or (n, nj) that the verifier found on the way, for the report:
+    series:   per-sample arrays (n,) that the verifier found on the way, for the report:
               sigma, wrist_deg (not of seven axes), limit_margin_deg, velocity_ratio, acceleration_ratio, jerk_ratio,
               tilt_deg (where the nozzle may lean from the normal), clearance_mm (of whatever is nearest; no more than 50),
               interlayer_time_s (where something lies on what was laid before; not a number elsewhere)

@@ -48,9 +48,9 @@ def channels(plan: Plan, kept: NDArray[np.intp]) -> list[dict[str, Any]]:
         values = plan.series[name][kept] if name in plan.series else np.empty(0)
         if np.isfinite(values).any():
             out.append(_channel(name, label, unit, values, "low", digits=digits))
-    ratios = [np.abs(plan.series[name][kept]).reshape(len(kept), -1) for name in RATIOS if name in plan.series]
+    ratios = [plan.series[name][kept] for name in RATIOS if name in plan.series]
     if ratios:
-        used = 100.0 * np.nanmax(np.where(np.isfinite(every := np.hstack(ratios)), every, 0.0), axis=1)
+        used = 100.0 * np.where(np.isfinite(most := np.max(ratios, axis=0)), most, 0.0)
         out.append(_channel("load", "Joint limits used", "%", used, "high", 0.0, digits=0))
     if "tilt_deg" in plan.series:
         lean = plan.series["tilt_deg"][kept]

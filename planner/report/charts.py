@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +51,7 @@ def time_charts(plan: Plan) -> list[dict[str, Any]]:
         note = "How far the wrist is from straight, and the closest joint from its end stop. Larger is better."
         charts.append(_chart("margins", "Margins", "degrees", margins, note=note, from_zero=True))
     ratios = [
-        _ratio(plan, name, label, colour)
+        _curve(plan, plan.series[name], label, colour, "%{y:.3f}")
         for name, label, colour in (
             ("velocity_ratio", "speed", BLUE),
             ("acceleration_ratio", "acceleration", ORANGE),
@@ -168,18 +167,6 @@ def _ages(plan: Plan) -> dict[str, Any]:
         lines=[(value, f"{words} {value:g} s") for value, words in asked if value is not None],
         from_zero=True,
     )
-
-
-def _ratio(plan: Plan, name: str, label: str, colour: str) -> dict[str, Any]:
-    values = np.abs(plan.series[name])
-    if values.ndim == 1:
-        return _curve(plan, values, label, colour, "%{y:.3f}")
-    worst = np.where(np.isnan(values), -np.inf, values).argmax(axis=1)
-    y = values[np.arange(len(values)), worst]
-    kept = thin_curve(y)
-    trace = _curve(plan, y, label, colour, "%{y:.3f} (%{text})")
-    names = [escape(name) for name in plan.cell.joint_names]
-    return trace | {"text": [names[j] for j in worst[kept]]}
 
 
 def _curve(plan: Plan, y: Array, name: str, colour: str, hover: str) -> dict[str, Any]:

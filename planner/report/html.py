@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from markupsafe import Markup
 
-from planner.base.arrays import Array
 from planner.plan.by_layer import AGES, layer_times
 from planner.report import page
 from planner.report.charts import joint_charts, time_charts
@@ -73,7 +72,6 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
     ]
     t = plan.trajectory
     others = [name for name in plan.baseline if name != plan.strategy]
-    ratios = _joint_ratios(plan)
     text = page.page(
         "plan",
         f"{plan.name}: {'verified' if plan.verified else 'not verified'}",
@@ -103,8 +101,7 @@ def write_report(plan: Plan, path: Path, forecast: Callable[[], Sequence[str]] =
         robustness=robustness_section(plan),
         curves=curves,
         roll_map=roll_map_section(plan),
-        ratios=list(ratios),
-        joints=_joint_rows(plan, ratios),
+        joints=_joint_rows(plan),
         joint_charts=joints,
         command=_command(plan),
         making=_making(plan),
@@ -161,28 +158,18 @@ def _header(plan: Plan) -> Markup:
     )
 
 
-def _joint_ratios(plan: Plan) -> dict[str, Array]:
-    """Share (n, joints) of each limit that joints use, by what it limits."""
-    return {
-        name: np.abs(plan.series[key]).reshape(len(plan.trajectory), -1)
-        for name, key in (("speed", "velocity_ratio"), ("acceleration", "acceleration_ratio"), ("jerk", "jerk_ratio"))
-        if key in plan.series and np.ndim(plan.series[key]) == 2
-    }
-
-
-def _joint_rows(plan: Plan, ratios: Mapping[str, Array]) -> list[dict[str, Any]]:
-    """What each joint uses of its range, and the greatest of its ratios."""
+def _joint_rows(plan: Plan) -> list[dict[str, str]]:
+    """What each joint uses of its range."""
     scale, units = shown_units(plan.cell)
     q, low, high = (scale * values for values in (plan.trajectory.q, plan.cell.limits.q_min, plan.cell.limits.q_max))
-    after = [" mm" if unit == "mm" else "" for unit in units]
+    after = [" mm" if unit == "mm" else "°" for unit in units]
     margin = np.minimum(q.min(axis=0) - low, high - q.max(axis=0))
     return [
         {
             "name": name,
             "used": f"{number(q[:, k].min(), 1)} to {number(q[:, k].max(), 1)}{after[k]}",
-            "allowed": _range(low[k], high[k]) + after[k],
+            "allowed": _range(low[k], high[k], after[k]),
             "margin": number(margin[k], 1) + after[k] if np.isfinite(margin[k]) else MISSING,
-            "ratios": [float(np.nanmax(values[:, k])) for values in ratios.values()],
         }
         for k, name in enumerate(plan.cell.joint_names)
     ]
@@ -215,6 +202,6 @@ def _command(plan: Plan) -> str:
     return shlex.join(words)
 
 
-def _range(low: float, high: float) -> str:
+def _range(low: float, high: float, unit: str) -> str:
     endless = not (np.isfinite(low) or np.isfinite(high))
-    return "no end" if endless else f"{number(low, 0)} to {number(high, 0)}"
+    return "no end" if endless else f"{number(low, 0)} to {number(high, 0)}{unit}"

@@ -181,10 +181,8 @@ def worst_samples(plan: Plan) -> dict[str, Worst]:
     for name in ORDERS:
         values = series.get(f"{name}_ratio")
         if values is not None and np.isfinite(values).any():
-            each = np.abs(values).reshape(len(traj), -1)
-            i = int(np.nanargmax(np.where(np.isnan(each), -np.inf, each).max(axis=1)))
-            joint = int(np.nanargmax(each[i])) if values.ndim > 1 else _busiest(plan, name, i)
-            found[f"{name}_ratio_max"] = Worst(i, plan.cell.joint_names[joint], _busy(plan, i))
+            i = int(np.nanargmax(values))
+            found[f"{name}_ratio_max"] = Worst(i, plan.cell.joint_names[_busiest(plan, name, i)], _busy(plan, i))
     if "tilt_deg" in series:
         found["tilt_max_deg"] = Worst(int(printing[series["tilt_deg"][printing].argmax()]), help=LEANS)
     return found
