@@ -399,7 +399,7 @@ class Plan:
 
     @property
     def q(self) -> Array:
-        """Joints (n, nj) in the order of `joint_names` [rad]."""
+        """Joints (n, nj) in the order of `joint_names` [rad, m where they slide]."""
         return self.trajectory.q
 
     @property
@@ -442,7 +442,7 @@ class Plan:
 
         `plan.table()["x_mm"]` is a column. t_s; bead, -1 in
         travel; layer; deposit; s_mm; x_mm, y_mm, z_mm of the nozzle tip and its unit axis ax, ay, az, both in the
-        part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad.
+        part frame; speed_mm_s; flow_mm3_s; e_mm of filament; then the joints by their names, in rad, or m where they slide.
         """
         return table_of(self.trajectory, self.joint_names)
 
@@ -520,7 +520,7 @@ def columns_of(trajectory: Trajectory, rows: slice = EVERY_ROW) -> dict[str, NDA
 
 
 def table_of(trajectory: Trajectory, joint_names: Sequence[str]) -> NDArray[np.void]:
-    """A structured array (n) of all columns and then the joints [rad]."""
+    """A structured array (n) of all columns and then the joints [rad, m where they slide]."""
     columns = columns_of(trajectory) | dict(zip(joint_names, trajectory.q.T, strict=True))
     table = np.empty(len(trajectory), dtype=[(name, column.dtype) for name, column in columns.items()])
     for name, column in columns.items():

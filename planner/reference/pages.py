@@ -62,8 +62,8 @@ def metrics_page() -> str:
             "The unit is that of the worst value and of the limit.\n",
             measures(CHECKS),
             "## Columns of trajectory.csv\n",
-            "One row a sample, 4 ms apart unless `--dt` says otherwise. After these columns come the joints by name [rad]: "
-            "the arm's, then the free axes of what holds the part.\n",
+            "One row a sample, 4 ms apart unless `--dt` says otherwise. After these columns come the joints by name [rad, m of "
+            "those that slide]: the free ones of what carries the arm, the arm's, then those of what holds the part.\n",
             measures(COLUMNS),
             "## Keys of plan.json\n",
             names(KEYS),
