@@ -6,7 +6,6 @@ for the time of a run in a process of its own; compiled loops that have them bui
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -20,15 +19,9 @@ from numba import njit
 
 from planner.cell.cell import build_cell
 from planner.problem import Problem
-from planner.resolve import price_kernels as price_kernel
-from planner.resolve import price_kernels as refine_kernel
-from planner.resolve import prices, refine, search, terms
-from planner.resolve import search as search_kernel
-from planner.resolve import sqp as windows
+from planner.resolve import ladder, price_kernels, prices, refine, search, sqp, terms
+from planner.resolve.nodes import full_grid
 from planner.resolve.quadratic import QuadraticProgram
-
-# their room has functions of these names
-ladder, sqp = (importlib.import_module(f"planner.resolve.{name}") for name in ("ladder", "sqp"))
 
 _ENDLESS = 10**9  # control values: more than any bead has
 # A squared penalty costs as much as the exact one where a tenth of the time is lost; between these slacks it is linear.
@@ -54,14 +47,14 @@ def _compile_anew(stack: ExitStack, module: ModuleType, names: Sequence[str], us
 @contextmanager
 def _one_window(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, windows, "WINDOW", _ENDLESS)
+        _put(stack, sqp, "WINDOW", _ENDLESS)
         yield
 
 
 @contextmanager
 def _windows_apart(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, windows, "OVERLAP", 0)
+        _put(stack, sqp, "OVERLAP", 0)
         yield
 
 
@@ -94,18 +87,18 @@ def _free_peaks(problem: Problem) -> Iterator[None]:
 @contextmanager
 def _free_travel(problem: Problem) -> Iterator[None]:
     with ExitStack() as stack:
-        _put(stack, search_kernel, "TRAVEL_PRICE", 0.0)
-        _compile_anew(stack, search_kernel, ("travel_price", "_from_travel", "search_best"), (search,))
+        _put(stack, search, "TRAVEL_PRICE", 0.0)
+        _compile_anew(stack, search, ("travel_price", "_from_travel", "search_best"), ())
         yield
 
 
 @contextmanager
 def _home_branch(problem: Problem) -> Iterator[None]:
-    cell, known = build_cell(problem), ladder.full_grid
+    cell = build_cell(problem)
     branch = int(cell.inverse.branches(cell.home[None, : len(cell.arm)])[0])
 
     def of_one_branch(*given: Any) -> Any:
-        grid = known(*given)
+        grid = full_grid(*given)
         return replace(grid, branch=np.full((len(grid.branch), 1), branch))
 
     with ExitStack() as stack:
@@ -133,10 +126,9 @@ def _squared(slack: float) -> float:
 
 def _penalty(stack: ExitStack, lost: Any) -> None:
     """Another price of lost time, in the price of a path and in the program around it."""
-    _put(stack, price_kernel, "lost", lost)
-    _put(stack, refine_kernel, "lost_slope", _slope_of_flat)
-    _compile_anew(stack, price_kernel, ("price_time_lost",), (terms,))
-    _compile_anew(stack, refine_kernel, ("rows_of_rates",), (terms,))
+    _put(stack, price_kernels, "lost", lost)
+    _put(stack, price_kernels, "lost_slope", _slope_of_flat)
+    _compile_anew(stack, price_kernels, ("price_time_lost", "rows_of_rates"), (terms,))
 
 
 @contextmanager
@@ -214,15 +206,15 @@ IDEAS = (
     Idea("all to the table", "`--strategy as_published`", strategy="as_published"),
     Idea(FROZEN, f"`--set {NO_TABLE}`, the logo facing the arm", (NO_TABLE,), where=_has_table),
     Idea("home's branch only", "`ladder.full_grid` gives no other branch", change=_home_branch),
-    Idea("travel free", "`search_kernel.TRAVEL_PRICE` 0", change=_free_travel),
+    Idea("travel free", "`search.TRAVEL_PRICE` 0", change=_free_travel),
     Idea("ends not held", "`terms.ANCHOR` 0", change=_loose_ends),
     Idea("joints may peak", "`refine.PEAK` without end", change=_free_peaks),
-    Idea("one window", "`windows.WINDOW` without end", change=_one_window),
-    Idea("windows side by side", "`windows.OVERLAP` 0", change=_windows_apart),
-    Idea("exact penalty, shallow dips not avoided", "`price_kernel.lost` is the slack itself", change=_flat_penalty),
+    Idea("one window", "`sqp.WINDOW` without end", change=_one_window),
+    Idea("windows side by side", "`sqp.OVERLAP` 0", change=_windows_apart),
+    Idea("exact penalty, shallow dips not avoided", "`price_kernels.lost` is the slack itself", change=_flat_penalty),
     Idea(
         "squared penalty",
-        f"`price_kernel.lost` is the slack squared over {_AS_DEAR_AT:g}, in {len(_BENDS)} pieces",
+        f"`price_kernels.lost` is the slack squared over {_AS_DEAR_AT:g}, in {len(_BENDS)} pieces",
         change=_squared_penalty,
     ),
     Idea("layers start cold", "`sqp.start_track` is not given the bead below", change=_cold_layers, where=_has_layers),

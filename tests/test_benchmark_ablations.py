@@ -88,6 +88,6 @@ def test_the_table_tells_how_and_what_came_of_it() -> None:
         plan = {"found": True, "verified": True, "sigma_min": 0.2, "at_speed_fraction": 0.99, "seconds_resolve": 2.0}
         rows += [make_row(run, **(plan if run.strategy == "sqp" else {"reason": "no plan: stuck"})) for run in own]
     lines = ablations.tables(runs, results_of(rows))
-    assert "| one window | `windows.WINDOW` without end | yes | 99.0 % | – | – | 0.200 | – | 2.00 |" in lines
+    assert "| one window | `sqp.WINDOW` without end | yes | 99.0 % | – | – | 0.200 | – | 2.00 |" in lines
     assert "| all to the table | `--strategy as_published` | no plan | – | – | – | – | – | – |" in lines
     assert Run("peer_cap", "sqp", change="one window").label == "sqp: one window"
