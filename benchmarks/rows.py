@@ -138,17 +138,18 @@ def times(seconds: Mapping[str, float], waypoints: int | None) -> Row:
 
 
 def at_waypoints(beads: Sequence[Bead], trajectory: Trajectory, limits: Limits) -> Row:
-    """The largest change of any joint from waypoint to waypoint of a bead, and the least distance from a joint's end
-    there [rad]; beads are those that the trajectory lays, in order."""
+    """The largest change of any joint that turns from waypoint to waypoint of a bead, and the least distance from such a
+    joint's end there [rad]; beads are those that the trajectory lays, in order."""
     edges = np.flatnonzero(np.diff(trajectory.bead)) + 1
     step, margin = 0.0, math.inf
+    low, high = limits.q_min[limits.turns], limits.q_max[limits.turns]
     starts, stops = [0, *edges], [*edges, len(trajectory.bead)]
     laid = [(a, b) for a, b in zip(starts, stops, strict=True) if trajectory.bead[a] >= 0]
     for a, b in laid:
         bead = beads[trajectory.bead[a] - trajectory.first_bead]
-        q = _joints_at(bead.s, trajectory.s[a:b], trajectory.q[a:b])
+        q = _joints_at(bead.s, trajectory.s[a:b], trajectory.q[a:b, limits.turns])
         step = max(step, float(np.abs(np.diff(q, axis=0)).max(initial=0.0)))
-        margin = min(margin, float(np.minimum(q - limits.q_min, limits.q_max - q).min(initial=math.inf)))
+        margin = min(margin, float(np.minimum(q - low, high - q).min(initial=math.inf)))
     return {"joint_step_max_rad": step, "limit_margin_rad": margin} if laid else {}
 
 

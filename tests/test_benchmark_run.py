@@ -8,7 +8,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from benchmarks import named, rows, run, single
@@ -16,12 +18,22 @@ from benchmarks.own_process import Ended, in_own_process
 from benchmarks.rows import COLUMNS, KEY, Row, Run, append_row, make_row, read_rows
 from benchmarks.usage import Usage, commit, cpu_seconds, machine, peak_mb
 from planner.base.errors import EXIT_INPUT, EXIT_INTERRUPTED, EXIT_VERIFIED, InputError
+from planner.cell.cell import Limits
 from planner.plan.measures import METRICS
 from planner.resolve.strategies import STRATEGIES
 
 PROBLEMS, CHOSEN = ("peer_cap@60", "peer_cylinder@60"), ("greedy", "ladder")
 GRID = ["--problems", *PROBLEMS, "--strategies", *CHOSEN, "--coarse"]
 OF_TIME = {"waypoints_per_s", "cpu_s", "peak_mb", "date", *(name for name in COLUMNS if name.startswith("seconds_"))}
+
+
+def test_steps_and_margins_are_of_joints_that_turn() -> None:
+    bead = SimpleNamespace(s=np.array([0.0, 0.5, 1.0]))
+    q = np.array([[0.0, 0.1], [0.9, 0.2], [1.999, 0.4]])  # a rail, and a joint
+    motion = SimpleNamespace(bead=np.zeros(3, dtype=np.int32), first_bead=0, s=bead.s, q=q)
+    one = np.ones(2)
+    found = rows.at_waypoints([bead], motion, Limits(-2.0 * one, 2.0 * one, one, one, one, sliding=(0,)))
+    assert found == pytest.approx({"joint_step_max_rad": 0.2, "limit_margin_rad": 1.6})
 
 
 def cold(job: single.Job) -> Row:

@@ -62,9 +62,9 @@ def path_facts(given: PlanningContext, beads: Sequence[Array]) -> Row:
     A path holds if tip and axis are within the verifier's tolerances at every waypoint and within BETWEEN times these
     between them, of the straight line there, and all joints are within their ranges: nothing of time, jerk or dips.
     """
-    cell, na = given.cell, len(given.cell.arm)
+    cell, na, turns = given.cell, len(given.cell.arm), given.cell.limits.turns
     off, turned, off_between, turned_between, step = 0.0, 0.0, 0.0, 0.0, 0.0
-    margin, sigma = np.inf, np.inf
+    beyond, margin, sigma = -np.inf, np.inf, np.inf
     for task, q in zip(given.tasks, beads, strict=True):
         T = cell.T_part_nozzle(q)
         off = max(off, float(np.linalg.norm(T[:, :3, 3] - task.tip, axis=1).max()))
@@ -74,8 +74,9 @@ def path_facts(given: PlanningContext, beads: Sequence[Array]) -> Row:
             line = (1.0 - f) * T[:-1, :3, 2:] + f * T[1:, :3, 2:]  # axis and tip
             off_between = max(off_between, float(np.linalg.norm(T_between[:, :3, 3] - line[:, :, 1], axis=1).max()))
             turned_between = max(turned_between, _angle(T_between[:, :3, 2], line[:, :, 0]))
-        step = max(step, float(np.abs(np.diff(q, axis=0)).max()))
-        margin = min(margin, float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q).min()))
+        step = max(step, float(np.abs(np.diff(q[:, turns], axis=0)).max()))
+        room = np.minimum(q - cell.limits.q_min, cell.limits.q_max - q)
+        beyond, margin = max(beyond, float(-room.min())), min(margin, float(room[:, turns].min()))
         jacobians = cell.arm.jacobians(q[:, :na])
         sigma = min(sigma, float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min()))
     broken = [
@@ -85,7 +86,7 @@ def path_facts(given: PlanningContext, beads: Sequence[Array]) -> Row:
             ("axis at waypoints", np.degrees(turned), np.degrees(AXIS_TOLERANCE), "deg"),
             ("off between", off_between * 1e3, BETWEEN * POSITION_TOLERANCE * 1e3, "mm"),
             ("axis between", np.degrees(turned_between), BETWEEN * np.degrees(AXIS_TOLERANCE), "deg"),
-            ("beyond a joint's range by", -margin, 0.0, "rad"),
+            ("beyond a joint's range by", beyond, 0.0, "rad or m"),
         )
         if value > limit
     ]
