@@ -7,7 +7,6 @@ python -m benchmarks.peer_cases --write problems                     writes thei
 from __future__ import annotations
 
 import argparse
-import resource
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
 
+from benchmarks.usage import peak_mb
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.base.progress import Stages
 from planner.plan import Plan
@@ -191,7 +191,7 @@ def row(name: str, strategy: str, waypoints: int) -> list[str]:
         strategy,
         "yes" if plan.verified else "no: " + ", ".join(check.name for check in plan.checks if not check.ok),
         f"{waypoints / seconds:.0f}",
-        f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f}",
+        f"{peak_mb():.0f}",
         f"{m['sigma_min']:.3f}",
         f"{joint_steps(plan, SPACING * 1e-3).max():.3f}",
         f"{margin:.3f}",

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import resource
 import sys
 import time
 from collections import defaultdict
@@ -26,6 +25,7 @@ from pathlib import Path
 from rich.console import Console
 
 from benchmarks.slicer_count import count, said
+from benchmarks.usage import peak_mb
 from planner.base.command_line import exit_code
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.problem import Problem, load_problem
@@ -142,8 +142,7 @@ def run(options: argparse.Namespace) -> int:
             stream.flush()
             said = row.get("refused") or f"{row['printed_m']} m, {row['difference_pct']} % off"
             console.print(f"{row['file']}: {said}", highlight=False, markup=False, soft_wrap=True)
-    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    for line in (*summary(rows), f"memory: {most:.0f} MB at most"):
+    for line in (*summary(rows), f"memory: {peak_mb():.0f} MB at most"):
         print(line)
     return EXIT_VERIFIED
 

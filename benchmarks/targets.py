@@ -6,7 +6,6 @@ python -m benchmarks.targets [PROBLEM ...] [--set program.chord_mm=0.02] [--long
 from __future__ import annotations
 
 import argparse
-import resource
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.usage import peak_mb
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.export.languages import LANGUAGES
 from planner.export.moves import Moves, deposits, plan_moves, rests_of, way_of
@@ -81,7 +81,7 @@ def repeated(plan: Plan, targets: int) -> Plan:
 def long_program(plan: Plan, targets: int) -> str:
     """How long a program takes to write, to read and to be held against the plan [s of CPU], and how much memory."""
     plan = repeated(plan, targets)
-    before, start = _memory(), time.process_time()
+    before, start = peak_mb(), time.process_time()
     files = rapid_files(plan)
     writing = time.process_time() - start
     start = time.process_time()
@@ -95,13 +95,8 @@ def long_program(plan: Plan, targets: int) -> str:
     return (
         f"{count:,} targets of {len(plan.trajectory):,} samples in {modules} modules, {size:.0f} MB: written in "
         f"{writing:.1f} s, read in {reading:.1f} s, held against the plan in {judging:.1f} s of CPU "
-        f"({len(differences)} differences); {_memory() - before:.0f} MB more than the plan at most"
+        f"({len(differences)} differences); {peak_mb() - before:.0f} MB more than the plan at most"
     )
-
-
-def _memory() -> float:
-    """Most memory that was ever used [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

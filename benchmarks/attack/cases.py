@@ -16,6 +16,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+from benchmarks.usage import peak_mb
+
 FOUND, REFUSED, HARMLESS, ACCEPTED, ESCAPED = "found", "refused", "within tolerance", "accepted", "escaped"
 STOPPED = "stopped"  # a solve that was not waited for
 VERDICTS = (FOUND, REFUSED, HARMLESS, ACCEPTED, STOPPED, ESCAPED)
@@ -196,4 +198,4 @@ def _work(pipe: Connection, kind: str, case: Case, seed: int) -> None:
     with contextlib.suppress(EOFError):
         while True:
             outcome = one(case, kind, pipe.recv(), seed)
-            pipe.send((outcome, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0))
+            pipe.send((outcome, peak_mb()))

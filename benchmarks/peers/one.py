@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.memory import Peak
 from benchmarks.peers import ours
 from benchmarks.peers.case import CASES, given
 from benchmarks.peers.judge import judge
 from benchmarks.rows import Row
-from benchmarks.usage import cpu_seconds, peak_mb
+from benchmarks.usage import cpu_seconds
 from planner.planning.context import PlanningContext
 
 JOINTS, ROW = "q.csv", "row.json"
@@ -43,8 +44,9 @@ def main() -> int:
         row = judged_file(ready, folder)
     else:
         before = cpu_seconds()
-        row = ours.planned(ready, collision)
-        row |= {"cpu_s": cpu_seconds() - before, "peak_mb": peak_mb()}
+        with Peak() as peak:
+            row = ours.planned(ready, collision)
+        row |= {"cpu_s": cpu_seconds() - before, "peak_mb": peak.mb}
     (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
     return 0
 

@@ -69,7 +69,7 @@ def main(package: str, prepare: Callable[[Case, list[str]], Plan]) -> int:
     facts = {
         "seconds": time.perf_counter() - wall,
         "cpu_seconds": time.process_time() - cpu,
-        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
         "version": f"{package} {version(package)}",
         "said": said,
     }
