@@ -57,7 +57,7 @@ def line(row: Row, extra: Row) -> str:
 
 HEAD = (
     "case", "planner", "joint paths/s", "verified plans/s", "MB", "holds its path", "verified", "off mm", "between mm",
-    "σ min", "joint step", "margin", "at speed", "print s", "why not",
+    "σ min", "joint step", "margin", "at speed", "deposition s", "why not",
 )  # fmt: skip
 
 
