@@ -89,7 +89,8 @@ def write_case(given: PlanningContext, folder: Path) -> None:
 def limits(given: PlanningContext) -> dict[str, object]:
     """Joints in order with their limits and home [rad, s], how many are the arm's, the speed [m/s], and the arm's lengths.
 
-    opw: of an arm with a spherical wrist, as Brandstötter et al. name them [m], with its joints' offsets [rad]; else null.
+    opw: of an arm with a spherical wrist, as Brandstötter et al. name them [m], whose joint 3 is 90 deg less than theirs;
+    else null.
     """
     cell = given.cell
     fields = ("velocity", "acceleration", "jerk")

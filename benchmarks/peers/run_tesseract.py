@@ -5,6 +5,7 @@ Options: the roll's and the table's step in degrees, then `trajopt` if that is t
 
 from __future__ import annotations
 
+import os
 import sys
 
 import tesseract_robotics  # noqa: F401  before numpy, for it brings the libstdc++ that both can use
@@ -42,7 +43,7 @@ from tesseract_robotics.tesseract_motion_planners_trajopt import (
 Array = NDArray[np.float64]
 DESCARTES = "DescartesMotionPlannerTask"
 TRAJOPT = "TrajOptMotionPlannerTask"
-THREADS = 2
+THREADS = len(os.sched_getaffinity(0))
 HOLD = 10.0  # weight of the pose's constraint, position and two angles; the third, roll, is free
 ITERATIONS = 100
 TABLE = np.pi  # rad: the table is sampled within so much either way, whatever its range
