@@ -24,15 +24,12 @@ from rich.table import Table
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
-from planner.collision.scene import NOTHING
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.planning.options import DEFAULT_DT
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.resolve.joint_path import JointPath
-from planner.resolve.strategies import STRATEGIES
-from planner.toolpath.build import build_toolpath
-from planner.toolpath.task import NozzleTask, tasks_of
+from planner.toolpath.task import NozzleTask
 
 Array = NDArray[np.float64]
 
@@ -68,16 +65,13 @@ def deposition_time(timed: Sequence[TimedPath]) -> float:
 
 def row(problem: Problem) -> list[str]:
     """One line of the table."""
-    cell = build_cell(problem)
-    tasks = tasks_of(problem, build_toolpath(problem))
     try:
         plan = solve(problem)
-        paths = STRATEGIES[problem.strategy](cell, tasks, problem.resolve, NOTHING)
     except Refusal as refusal:
         return [problem.name, f"no plan: {refusal}", *[""] * (len(COLUMNS) - 2)]
     m = plan.metrics
-    bound = sum(bound_time(cell, path) for path in paths)
-    timed, cost = measure_timing(cell, paths)
+    bound = sum(bound_time(plan.cell, path) for path in plan.paths)
+    timed, cost = measure_timing(plan.cell, plan.paths)
     deposition = deposition_time(timed)
     return [
         problem.name,
