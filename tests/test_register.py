@@ -13,6 +13,7 @@ from contact_files import MOVED, PART, TURNED, apart, chosen, contacts, scene, s
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from benchmarks import registration
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
@@ -648,3 +649,19 @@ def test_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_a_file_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(tmp_path / "no.csv"), "fibre_bowl", "--out", str(tmp_path / "n.yaml")]) == EXIT_INPUT
     assert "no.csv" in capsys.readouterr().err
+
+
+def test_parts_that_are_refused_count_as_told_of_neither_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    errors = iter([(1.0, 1.0, 1.0, False), InputError("too little"), InputError("too little")])
+
+    def touched(*_: object) -> tuple[object, object]:
+        found = next(errors)
+        if isinstance(found, InputError):
+            raise found
+        return found, found
+
+    monkeypatch.setattr(registration, "touched", touched)
+    monkeypatch.setattr(registration, "errors_of", lambda scene, truth, found: found)
+    case = registration.CASES[0]
+    assert registration.row_of(case, 2, 0.0, tmp_path)[-2:] == ["0.0 %", "50 %"]
+    assert registration.row_of(case, 1, 0.0, tmp_path)[-2:] == ["", "100 %"]
