@@ -153,6 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seconds, first = 0.0, [""]
     same = True
     with tempfile.TemporaryDirectory(prefix="cluster_") as folder:
+        run(work, 1, Path(folder))  # compiles
         for workers, kill in ((1, False), (2, False), (2, True)):
             took, results = run(work, workers, Path(folder), kill)
             if not seconds:
