@@ -20,6 +20,7 @@ from planner.collision.scene import NOTHING, Obstacles, obstacles_of
 from planner.motion.timing.timed_path import time_path
 from planner.motion.travel.plan import plan_travels
 from planner.problem import Problem, load_problem
+from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.ladder import ladder
 from planner.resolve.sqp import refine_paths
 from planner.toolpath.build import build_toolpath
@@ -48,7 +49,11 @@ def seconds(problem: Problem, aware: bool) -> tuple[list[float], float]:
     moving = problem.process.hand_over == "motion"
     motions, timing = timed(lambda: [time_path(cell, path, (moving, moving)) for path in paths])
     _, travelling = timed(lambda: plan_travels(cell, motions, toolpath, problem.process, None, obstacles))
-    least = min(float(everything.margins(path.q, path.task.moments, 0.05)[0].min()) for path in paths)
+    least = min(
+        float(everything.for_nozzle(cell, own).margins(paths[i].q, paths[i].task.moments, 0.05)[0].min())
+        for own, which in nozzles_of(cell, paths)
+        for i in which
+    )
     return [building if aware else 0.0, searching, refining, timing, travelling], 1e3 * least
 
 
