@@ -10,16 +10,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.browser import chromium, page_of
+from benchmarks.repeated import repeated
 from planner.base.errors import EXIT_VERIFIED, PlannerError
-from planner.plan import Plan
 from planner.planning.pipeline import load, solve
 from planner.report.html import write_report
 
@@ -88,27 +86,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return error.exit_code
     out.print(table)
     return EXIT_VERIFIED
-
-
-def repeated(plan: Plan, times: int) -> Plan:
-    """The plan's motion so many times in a row, layers and beads counted on: as long a print as one likes."""
-    t = plan.trajectory
-    n, beads, layers = len(t), len(plan.toolpath.beads), plan.layers
-    each = np.repeat(np.arange(times), n)
-    arrays = {name: np.concatenate([value] * times) for name, value in vars(t).items() if isinstance(value, np.ndarray)}
-    arrays["t"] = np.arange(times * n) * t.dt
-    arrays["bead"] = np.where(arrays["bead"] >= 0, arrays["bead"] + (each * beads).astype(np.int32), arrays["bead"])
-    arrays["layer"] = (arrays["layer"] + each * layers).astype(np.int32)
-    for name in ("extruded", "feed"):
-        arrays[name] = arrays[name] + each * getattr(t, name)[-1]
-    dips = tuple(
-        replace(dip, t=dip.t + k * n * t.dt, bead=dip.bead + k * beads, layer=dip.layer + k * layers)
-        for k in range(times)
-        for dip in plan.dips
-    )
-    series = {name: np.concatenate([value] * times) for name, value in plan.series.items()}
-    toolpath = replace(plan.toolpath, beads=plan.toolpath.beads * times)
-    return replace(plan, trajectory=replace(t, **arrays, events=()), dips=dips, series=series, toolpath=toolpath)
 
 
 if __name__ == "__main__":

@@ -6,17 +6,16 @@ python -m benchmarks.targets [PROBLEM ...] [--set program.chord_mm=0.02] [--long
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.repeated import repeated
 from benchmarks.usage import peak_mb
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.export.languages import LANGUAGES
@@ -62,25 +61,9 @@ def limits(plan: Plan, moves: Moves) -> dict[str, int]:
     return dict(zip((*TERMS, "ends"), counts, strict=True))
 
 
-def repeated(plan: Plan, targets: int) -> Plan:
-    """The plan's motion, from home to home, as often as at least so many targets need; its events are left out."""
-    t, times = plan.trajectory, -(-targets // len(plan_moves(plan, arcs=True)))
-    rows: dict[str, Any] = {
-        name: np.concatenate([values] * times) for name, values in vars(t).items() if isinstance(values, np.ndarray)
-    }
-    n, beads = len(t), len(plan.toolpath.beads)
-    which = np.repeat(np.arange(times), n)
-    rows["t"] = np.arange(n * times) * t.dt
-    rows["bead"] = np.where(rows["bead"] >= 0, rows["bead"] + which * beads, rows["bead"]).astype(np.int32)
-    rows["feed"] = rows["feed"] + which * (t.feed[-1] - t.feed[0])
-    rows["extruded"] = rows["extruded"] + which * (t.extruded[-1] - t.extruded[0])
-    toolpath: Any = SimpleNamespace(beads=plan.toolpath.beads * times, layers=plan.toolpath.layers, notes=())
-    return replace(plan, toolpath=toolpath, trajectory=replace(t, **rows, events=()))
-
-
 def long_program(plan: Plan, targets: int) -> str:
     """How long a program takes to write, to read and to be held against the plan [s of CPU], and how much memory."""
-    plan = repeated(plan, targets)
+    plan = repeated(plan, math.ceil(targets / len(plan_moves(plan, arcs=True))))
     before, start = peak_mb(), time.process_time()
     files = rapid_files(plan)
     writing = time.process_time() - start

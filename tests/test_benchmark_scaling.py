@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from solved import small_plan
 
 from benchmarks import axes, profile, scaling
 from benchmarks.memory import Peak, held_mb
 from benchmarks.peer_cases import cap, waypoint_text
+from benchmarks.repeated import repeated
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
 
@@ -73,3 +75,13 @@ def test_what_stands_in_for_threads_gives_what_they_give() -> None:
     with profile.InLine(2) as pool:
         assert pool.map(lambda a, b: a + b, [1, 2], [10, 20]) == [11, 22]
         assert pool.submit(pow, 2, 5).result() == 32
+
+
+def test_a_repeated_print_counts_on() -> None:
+    plan = small_plan()
+    longer = repeated(plan, 3)
+    n, beads = len(plan.t), len(plan.beads)
+    assert (longer.layers, len(longer.beads), len(longer.t)) == (3 * plan.layers, 3 * beads, 3 * n)
+    assert longer.bead.max() == 3 * beads - 1 and longer.trajectory.layer.max() == 3 * plan.layers - 1
+    assert longer.trajectory.extruded[-1] == pytest.approx(3.0 * plan.trajectory.extruded[-1])
+    assert [dip.bead for dip in longer.dips[-len(plan.dips) :]] == [dip.bead + 2 * beads for dip in plan.dips]
