@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 
 PACKAGES = (
     "beadwise", "cadquery-ocp-novtk", "coal", "numba", "numpy", "pin", "pydantic", "pyvrp", "ruckig", "scipy", "shapely",
@@ -12,5 +12,12 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Package → version, Python included."""
-    return {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}}
+    """Package → version, Python included; "unknown" of what was installed without saying so, as other installers than pip do."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "unknown"
