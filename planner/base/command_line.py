@@ -20,9 +20,8 @@ from planner.base.extras import missing_extra
 from planner.base.signals import ended_at_once
 from planner.base.signals import interrupted as was_interrupted
 
-NEGATIVE = re.compile(
-    r"-\.?[0-9]"
-)  # begins a value, also of a list such as -10,20, where parsers of Python 3.11 see an option
+# Begins a value, also of a list such as -10,20, in which parsers of Python 3.11 see an option.
+NEGATIVE = re.compile(r"-\.?[0-9]")
 HELP_WIDTH = 78  # columns of a help, however wide the terminal is
 CONTINUED = " \\"  # ends a line of a command that goes on in the next one
 HELP_COLUMN = 26  # where the text of an option begins, so that most names stand beside theirs at 80 columns

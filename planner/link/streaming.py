@@ -474,11 +474,9 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
     if options.controller is not None:
         with ExitStack() as stack:
-            board = (
-                None
-                if options.head is None
-                else stack.enter_context(feeding(given_address(options.head, BOARD_PORT, "--head")))
-            )
+            board = None
+            if options.head is not None:
+                board = stack.enter_context(feeding(given_address(options.head, BOARD_PORT, "--head")))
             sender = send(stream, host, port, say, None if board is None else LineFeed(stream, board))
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED

@@ -324,10 +324,10 @@ class Plan:
         wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
         items = {name: kind for name, kind in ITEMS.items() if name not in wrong}
         wrong += [name for name, kind in items.items() if not all(isinstance(each, kind) for each in parts[name])]
-        _require_none(wrong, path)
+        _refuse_wrong(wrong, path)
         cell = build_cell(parts["problem"])
         motions = [(name, parts[name]) for name in ("trajectory", "asked") if parts[name] is not None]
-        _require_none([name for name, each in motions if not each.is_of(len(cell.joint_names))], path)
+        _refuse_wrong([name for name, each in motions if not each.is_of(len(cell.joint_names))], path)
         return cls(cell=cell, **parts)
 
     @property
@@ -496,7 +496,7 @@ KINDS: dict[str, type | tuple[type, ...]] = {
 ITEMS: dict[str, type] = {"checks": Check, "dips": Dip, "advice": Advice, "approaches": Approach}
 
 
-def _require_none(wrong: Sequence[str], path: str | Path) -> None:
+def _refuse_wrong(wrong: Sequence[str], path: str | Path) -> None:
     """Raise InputError for a file some of whose fields are not of a plan."""
     if wrong:
         raise InputError(f"{', '.join(wrong)}: not of a plan", file=path, hint="plan it again")

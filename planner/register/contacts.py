@@ -75,8 +75,8 @@ def read_readings(file: Path, cell: Cell) -> Readings:
     """Read a CSV file of contacts made in this cell.
 
     A header names the columns: x_mm y_mm z_mm, or the arm's joints by name in degrees, or mm of one that slides; the free
-    axes of what holds the part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas, semicolons, tabs or blanks.
-    Raises InputError with file, line and column for whatever is wrong.
+    axes of what holds the part; if wanted name, and ax ay az, the nozzle's direction. Between columns stand commas,
+    semicolons, tabs or blanks. Raises InputError with file, line and column for whatever is wrong.
     """
     rows = rows_of(file, LARGEST_FILE)
     if not rows:

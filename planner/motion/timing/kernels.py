@@ -304,8 +304,7 @@ def overrun(room: Array, slack: Array) -> float:
 # limits alone, and the systems of equations, banded with half-bandwidth 2, stay positive definite.
 #
 # Places that are far apart do not touch each other: each has a length of step and a gap of its own (`lengths_of`,
-# `even_out`), so
-# that one hard place does not hold up all others. Those that are settled are left alone while others go on.
+# `even_out`), so that one hard place does not hold up all others. Those that are settled are left alone while others go on.
 #
 # Debrouwere et al., "Time-optimal path following for robots with convex-concave constraints using sequential convex
 # programming", IEEE T-RO 2013, solve the same program by a general solver, one convex program after the other.
