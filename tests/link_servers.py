@@ -110,6 +110,7 @@ class ControllerEnd(End):
 class BoardEnd(End):
     def __init__(self, numbered: bool = False, fault: str | None = None, at: int = 0) -> None:
         self.core = Board(numbered)
+        self.may_go_on = threading.Event()  # what a board that is "held" waits for
         super().__init__(fault, at)
 
     def talk(self, made: socket.socket) -> bool:
@@ -123,6 +124,8 @@ class BoardEnd(End):
                     return True
                 if self.fault == "slow":
                     time.sleep(0.1)
+                if self.fault == "held":
+                    self.may_go_on.wait(10.0)
                 if self.fault == "resend":
                     made.sendall(b"Resend: %d\r\n" % (len(self.core.done) + 7))
                 if self.strike(made):

@@ -182,12 +182,15 @@ def test_ctrl_c_stops_both_sides(tmp_path: Path, number: signal.Signals) -> None
 
 def test_a_pause_a_reprime_and_on(tmp_path: Path) -> None:
     """While it is paused the board gets nothing but what primes it, and then every line that is left, once."""
-    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), BoardEnd())
+    board = BoardEnd(fault="held", at=9)  # else the program can be through before it is asked to pause
+    session = Session(tmp_path / "log.jsonl", ControllerEnd(PROGRAM), board)
     frozen: list[int] = []
 
     def user() -> None:
         wait_for(lambda: len(session.board.core.done) >= 9)
         session.requests.ask(PauseOrder("wiped"))
+        wait_for(lambda: session.hand.moved == ["pause"])
+        board.may_go_on.set()
         wait_for(lambda: session.shown[-1].state is RelayState.PAUSED and "reprime" in session.shown[-1].may)
         frozen.append(len(session.board.core.done))
         time.sleep(0.3)
