@@ -300,8 +300,17 @@ def test_filament_follows_the_axes_until_it_is_said_otherwise(read: Read) -> Non
 
 
 def test_g92_says_where_the_nozzle_is(read: Read) -> None:
+    text = "G92 X5 Y5 Z1 E0\nG1 X6 E1\n"
+    assert threads(read(text)) == [[[5, 5, 1], [6, 5, 1]]]
+
+
+def test_g92_in_the_middle_of_a_print_moves_nothing(read: Read) -> None:
     text = "G92 X5 Y5 Z1 E0\nG1 X6 E1\nG92 X0\nG1 X1 E2\n"
-    assert threads(read(text)) == [[[5, 5, 1], [6, 5, 1]], [[0, 5, 1], [1, 5, 1]]]
+    assert threads(read(text)) == [[[5, 5, 1], [6, 5, 1], [7, 5, 1]]]
+    back = text + "G92 X7 Y0\nG1 X8 Y1 E3\nG91\nG1 X1 E1\n"
+    assert threads(read(back))[0][-2:] == [[8, 6, 1], [9, 6, 1]]
+    homed = text + "G28 X\nG1 X2\nG1 Y6 E3\n"
+    assert threads(read(homed))[1:] == [[[2, 5, 1], [2, 6, 1]]]
 
 
 def test_arcs_are_those_of_a_circle(read: Read) -> None:

@@ -223,6 +223,7 @@ class _Machine:
         self.lost: InputError | None = None
         self.speeds = (math.inf, 0.0)
         self.x = self.y = self.z = math.nan  # nobody knows before it is said
+        self.x_of_0 = self.y_of_0 = self.z_of_0 = 0.0  # where lines count from: G92 changes that, and moves nothing
         self.filament = 0.0
         self.unit = 1e-3
         self.relative = False
@@ -418,15 +419,20 @@ class _Machine:
         self.close()
         for axis in axes:
             setattr(self, axis.lower(), math.nan)
+            setattr(self, f"{axis.lower()}_of_0", 0.0)
 
     def _set(self, rest: str) -> None:
-        """G92: here is what is said; all axes at 0 if nothing is."""
+        """G92: here is what is said, all axes at 0 if nothing is; what is printed already stays where it is."""
         words = self._words(rest) or dict.fromkeys("XYZE", 0.0)
         self.others.update({axis: words[axis] for axis in self.others if axis in words})
         for axis in "XYZ":
             if axis in words:
-                self.close()
-                setattr(self, axis.lower(), self.unit * words[axis])
+                name, said = axis.lower(), self.unit * words[axis]
+                at = getattr(self, name)
+                if (self.threads or self._pushed) and not math.isnan(at):
+                    setattr(self, f"{name}_of_0", at - said)
+                else:
+                    setattr(self, name, said + getattr(self, f"{name}_of_0"))
         self.filament = self.unit * words.get("E", self.filament / self.unit)
 
     # Moves
@@ -476,11 +482,11 @@ class _Machine:
         """Where a move ends, and the filament that it pushes [m]."""
         unit, x, y, z, pushed = self.unit, self.x, self.y, self.z, 0.0
         if "X" in words:
-            x = unit * words["X"] + (x if self.relative else 0.0)
+            x = unit * words["X"] + (x if self.relative else self.x_of_0)
         if "Y" in words:
-            y = unit * words["Y"] + (y if self.relative else 0.0)
+            y = unit * words["Y"] + (y if self.relative else self.y_of_0)
         if "Z" in words:
-            z = unit * words["Z"] + (z if self.relative else 0.0)
+            z = unit * words["Z"] + (z if self.relative else self.z_of_0)
         if abs(x) > FARTHEST or abs(y) > FARTHEST or abs(z) > FARTHEST:
             axis = "XYZ"[[abs(x) > FARTHEST, abs(y) > FARTHEST, True].index(True)]
             raise self._wrong(f"{axis} is farther than {FARTHEST:g} m from the origin")
