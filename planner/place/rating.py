@@ -446,7 +446,7 @@ def best_worst(
     speed[:na] = limits.velocity[:na]
     if joint is not None:
         speed[na] = limits.velocity[joint] / grid_scale(limits, joint)[1]
-    wraps = (limits.q_max - limits.q_min)[:na] > TURN
+    wraps = limits.turns[:na] & ((limits.q_max - limits.q_min)[:na] > TURN)
     margins = _margins(terms, min_sigma)
     came = np.full(margins.shape, 4, dtype=np.int8)
     worst, ends = bottleneck(

@@ -89,13 +89,12 @@ class Scene:
     @property
     def home_plates(self) -> Array:
         """What the part stands on (k, 4, 4) with the holder at home, and turned all around if it turns."""
-        na = len(self.cell.arm)
-        home = self.cell.home[na:]
-        q = np.tile(home, (1 if len(home) == 0 else 12, 1))
-        if len(home):
-            q[:, -1] = np.clip(
-                home[-1] + np.linspace(-np.pi, np.pi, len(q)), self.cell.limits.q_min[-1], self.cell.limits.q_max[-1]
-            )
+        limits = self.cell.limits
+        home = self.cell.home[len(self.cell.arm) :]
+        turns = len(home) > 0 and bool(limits.turns[-1])
+        q = np.tile(home, (12 if turns else 1, 1))
+        if turns:
+            q[:, -1] = np.clip(home[-1] + np.linspace(-np.pi, np.pi, len(q)), limits.q_min[-1], limits.q_max[-1])
         return plate_poses(self.cell, q)
 
 

@@ -445,9 +445,11 @@ def refuse_rung(
         over = np.where(ok[:, :, None], -inner, np.inf)
         worst = over.max(axis=2)
         a, b = np.unravel_index(np.argmin(worst), worst.shape)
-        joint = cell.arm.names[int(np.argmax(over[a, b]))]
-        reason = f"no posture within the joints' ranges; the nearest one leaves that of {joint}"
-        refuse(f"{reason} by {np.degrees(worst[a, b]):.1f} deg", tried.best(-worst))
+        joint = int(np.argmax(over[a, b]))
+        reason = f"no posture within the joints' ranges; the nearest one leaves that of {cell.arm.names[joint]}"
+        far = worst[a, b]
+        by = f"{1e3 * far:.1f} mm" if joint in cell.limits.sliding else f"{np.degrees(far):.1f} deg"
+        refuse(f"{reason} by {by}", tried.best(-worst))
     if not np.isfinite(nodes.price[rung]).any():
         ends, room = stuck.has_postures_near_ends(), cell.limits.room
         away = (inner >= room).all(axis=2) & ok
@@ -455,8 +457,9 @@ def refuse_rung(
             beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
             if beyond is not None:  # here the path comes near to what stops it there
                 refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
+            slid = f" ({1e3 * room:g} mm of one that slides)" if cell.rails else ""
             reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"
-            refuse(reason, tried.best(inner.min(axis=2)), ends=ends)
+            refuse(reason + slid, tried.best(inner.min(axis=2)), ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
