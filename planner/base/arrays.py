@@ -12,6 +12,8 @@ Ints = NDArray[np.int64]
 Indices = NDArray[np.intp]
 Flags = NDArray[np.bool_]
 
+MAD_TO_SIGMA = 1.4826  # from the median of absolute deviations to the standard one, of a normal distribution
+
 
 class ReadOnlyArrays:
     """Mixin for frozen dataclasses: every array field becomes read-only, so that a value can be shared safely."""

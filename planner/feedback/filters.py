@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from planner.base.arrays import Array
-
-TO_SIGMA = 1.4826  # from the median of deviations to the standard one, of a normal distribution
+from planner.base.arrays import MAD_TO_SIGMA, Array
 
 
 def noise_of(samples: Array) -> Array:
@@ -15,7 +13,7 @@ def noise_of(samples: Array) -> Array:
     any motion, by the median, which few wrong samples do not change. 0 of fewer than four."""
     if len(samples) < 4:
         return np.zeros(samples.shape[1])
-    return np.asarray(TO_SIGMA * np.median(np.abs(np.diff(samples, 3, axis=0)), axis=0) / np.sqrt(20.0))
+    return np.asarray(MAD_TO_SIGMA * np.median(np.abs(np.diff(samples, 3, axis=0)), axis=0) / np.sqrt(20.0))
 
 
 def window_of(span: float, step: float) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
+from planner.base.arrays import MAD_TO_SIGMA, Array, Flags, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint
 from planner.toolpath.as_printed import DeviationField
 from planner.toolpath.bead import Toolpath
@@ -26,13 +26,9 @@ LEAST_COVERED = 0.6  # share of the layer's cells that must be measured
 ELSEWHERE = 0.3  # share of cells with any point near them, below which the cloud is not of this layer
 _ALIKE = 8.0  # times as large, or as small, that a cloud and its layer may be: a scan sees more, or less
 _DENSE = 0.15  # of a bead's width between places by which points find their cell
-_MAD = 1.4826  # from a median absolute deviation to a standard deviation
 _NEAR_MEDIAN = 3.0  # robust deviations, within which points count
 _LEAST_SCATTER = 0.02e-3  # m
-_ODD, _LEAST_ODD = (
-    5.0,
-    0.1e-3,
-)  # robust deviations, and m, by which a cell is off what lies around it when it is left out
+_ODD, _LEAST_ODD = 5.0, 0.1e-3  # robust deviations, and m, by which a cell that is left out is off what lies around it
 _ROUNDS = 3
 _GROWN = 2.5  # times the radius, step by step, from which holes are interpolated
 
@@ -174,7 +170,7 @@ def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
 
 def robust(values: Array) -> float:
     """Standard deviation of most of values (n), by their median absolute deviation."""
-    return float(_MAD * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
+    return float(MAD_TO_SIGMA * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
 def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
@@ -192,7 +188,7 @@ def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
 def _cells(height: Array, cell: Ints, count: int) -> tuple[Array, Array, Ints]:
     """Robust mean (m) and deviation (m) of the heights (k) in each of so many cells, and how many heights count (m)."""
     middle = _medians(height, cell, count)
-    scatter = np.maximum(_MAD * _medians(np.abs(height - middle[cell]), cell, count), _LEAST_SCATTER)
+    scatter = np.maximum(MAD_TO_SIGMA * _medians(np.abs(height - middle[cell]), cell, count), _LEAST_SCATTER)
     kept = np.abs(height - middle[cell]) <= _NEAR_MEDIAN * scatter[cell]
     number = np.bincount(cell[kept], minlength=count)
     total = np.bincount(cell[kept], height[kept], minlength=count)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.sparse import block_array, coo_array, eye_array
 
-from planner.base.arrays import Array, Flags, ReadOnlyArrays
+from planner.base.arrays import MAD_TO_SIGMA, Array, Flags, ReadOnlyArrays
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.tables import is_number, rows_of, separator_of, split_row
 from planner.cell.cell import Cell
@@ -237,8 +237,7 @@ def _number(word: str, column: str, unit: str, file: Path, line: int) -> float:
 # ----------------------------------------------------------------------------------------------------
 # The turntable and a cylinder on it from contacts at several angles, as published (Pollard et al., eq. 1).
 
-_NORMAL = 1.4826  # standard deviations of normal noise in a median of absolute values
-_RIGHT = 4.0  # of these deviations, within which a coordinate counts as right
+_RIGHT = 4.0  # standard deviations, within which a coordinate counts as right
 _EXACT = 1e-6  # m: readings are no exacter
 
 
@@ -297,7 +296,7 @@ def settled(table: Turntable, turns: Array) -> tuple[Turntable, Flags]:
     A, off = _columns(turns), table.off.ravel()
     free = A.shape[1]
     # eq. (1) goes through as many coordinates as it has unknowns
-    deviation = _NORMAL * float(np.median(np.abs(off))) * math.sqrt(len(off) / max(len(off) - free, 1))
+    deviation = MAD_TO_SIGMA * float(np.median(np.abs(off))) * math.sqrt(len(off) / max(len(off) - free, 1))
     kept = np.abs(off) <= _RIGHT * max(deviation, _EXACT)
     if np.linalg.matrix_rank(A[kept], tol=1e-3) < free:
         return table, np.ones(len(turns), dtype=bool)
