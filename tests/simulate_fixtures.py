@@ -5,9 +5,13 @@ from __future__ import annotations
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from planner.base.arrays import Array
+from planner.cell.cell import Cell
+from planner.export.fit import from_matrix
 from planner.export.program import RobotProgram, Trigger
 
 MODULE = "MODULE Made\n    PROC main()\n    ENDPROC\nENDMODULE\n"
@@ -40,6 +44,26 @@ def program(lines: Sequence[str] = (), moves: int = 11, step: float = 0.01, spee
         triggers={1: (Trigger(0.0, True, True, "doExtrude"),), moves - 1: (Trigger(0.0, False, False, "doExtrude"),)},
         sends={move: texts for move, texts in sends.items() if texts},
     )
+
+
+def program_at(cell: Cell, q: Array) -> RobotProgram:
+    """A way of 10 mm that begins in a posture (n,), over a fixed bed: tool and joints are those of the arm's controller."""
+    own, T = cell.as_counted, cell.T_part_nozzle(q[None])[0]
+    unused = np.full(6, np.nan)
+    made = program(moves=2)
+    return replace(
+        made,
+        tool=_pose(own.T_flange_nozzle),
+        uframe=_pose(own.T_world_holder),
+        start=np.append(cell.counted(q[None])[0], unused),
+        position=made.position + T[:3, 3],
+        quat=np.tile(_pose(T)[3:], (2, 1)),
+        conf=np.tile([0, 0, 0, int(cell.inverse.branches(q[None])[0])], (2, 1)),
+    )
+
+
+def _pose(T: Array) -> Array:
+    return np.append(T[:3, 3], from_matrix(T[None, :3, :3])[0])
 
 
 def reader(made: RobotProgram) -> Callable[[Mapping[str, str]], tuple[RobotProgram, ...]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from simulate_fixtures import program_at
 
 from planner.cell.cell import Cell, build_cell
 from planner.export.fanuc import FANUC
@@ -16,6 +17,7 @@ from planner.export.languages import LANGUAGES
 from planner.export.val3 import STAUBLI
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
+from planner.simulate.controller import played_motion
 from tests.public_arms import ARMS, urdf_of
 from tests.test_placed_wrist import TEXT
 
@@ -76,6 +78,15 @@ def test_of_fanuc_the_third_axis_is_coupled_to_the_second(tmp_path: Path) -> Non
     axes = axes_of("Fanuc M-10iA", cell_of("Fanuc M-10iA", tmp_path), q)
     np.testing.assert_allclose(axes[:, [0, 1, 3, 4, 5]], q[:, [0, 1, 3, 4, 5]], rtol=0, atol=1e-12)
     np.testing.assert_allclose(axes[:, 2], q[:, 2] - q[:, 1], rtol=0, atol=1e-12)
+
+
+def test_the_simulator_plays_programs_as_they_are_counted(tmp_path: Path) -> None:
+    cell, q = cell_of("KUKA KR 10 R1420", tmp_path), np.radians([0.0, -75.0, 110.0, 0.0, 35.0, 0.0])
+    assert np.abs(cell.counted(q[None]) - q).max() > 0.1
+    motion = played_motion(program_at(cell, q), cell)
+    tip = cell.T_part_nozzle(q[None])[0, :3, 3]
+    np.testing.assert_allclose(motion.at(0.0)[1], tip, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(motion.at(motion.duration)[1], tip + [0.01, 0.0, 0.0], rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow

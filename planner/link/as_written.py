@@ -84,7 +84,7 @@ def program_as_written(folder: Path, names: Iterable[str], edited: str | None, s
         return
     cell = _may_differ(folder, found, edited, say)
     modules = {name: _ascii(folder / name) for name in names if name.lower().endswith(".mod")}
-    _play(read_rapid_files(modules), cell, folder, found, say)
+    _play(read_rapid_files(modules), cell.as_counted, folder, found, say)
 
 
 def table_as_written(folder: Path, edited: str | None, say: Say) -> Cell | None:

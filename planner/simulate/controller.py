@@ -151,7 +151,9 @@ class PlayedMotion:
 
 
 def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
-    """The motion of a program in its cell, with its nozzle. Raises InputError for what cannot be reached."""
+    """The motion of a program in its cell, as its controller counts joints, with its nozzle. Raises InputError for what cannot
+    be reached."""
+    cell = cell.as_counted
     off = [np.linalg.norm(nozzle.T_flange_nozzle[:3, 3] - program.tool[:3]) for nozzle in cell.nozzles]
     played = play(program, cell.with_nozzle(int(np.argmin(off)) if off else 0))
     outputs = [
