@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from solved import solve_alone, write_small
+from simulate_fixtures import program_at
+from solved import BED, solve_alone, write_small
 
 import planner.planning.pipeline
 from planner.base.errors import InputError
@@ -336,6 +337,15 @@ def test_the_simulator_runs_all_stretches(move: str) -> None:
     before, tip_before = motion.at(begin - 1e-6)
     after, tip_after = motion.at(begin + 1e-6)
     assert after > before and np.linalg.norm(tip_after - tip_before) > 0.05  # another tip, the arm at home
+
+
+def test_the_simulator_tells_nozzles_apart_by_their_axes_too() -> None:
+    same_tip = NOZZLES.replace("[44.51, 9.9, 118]", "[-44.51, 9.9, 113.95]")
+    cell = build_cell(problem_of((NOZZLE, f"{same_tip}  mounted: one\n"), TWO[1], BED[0]))
+    for own in map(cell.with_nozzle, range(2)):
+        made = program_at(own, own.home)
+        played = played_motion(made, cell).played
+        assert np.abs(played.quat[-1] @ made.quat[-1]) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.slow

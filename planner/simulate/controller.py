@@ -22,6 +22,7 @@ from planner.base.errors import InputError
 from planner.base.gcode_lines import commands_in
 from planner.cell.cell import Cell
 from planner.export.arcs import LinesAndArcs
+from planner.export.fit import to_matrix
 from planner.export.player.play import play
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
@@ -153,8 +154,9 @@ class PlayedMotion:
 def played_motion(program: RobotProgram, cell: Cell) -> PlayedMotion:
     """The motion of a program in its cell, as its controller counts joints, with its nozzle. Raises InputError for what cannot
     be reached."""
-    cell = cell.as_counted
-    off = [np.linalg.norm(nozzle.T_flange_nozzle[:3, 3] - program.tool[:3]) for nozzle in cell.nozzles]
+    cell, T_flange_tool = cell.as_counted, np.eye(4)
+    T_flange_tool[:3, :3], T_flange_tool[:3, 3] = to_matrix(program.tool[None, 3:])[0], program.tool[:3]
+    off = [np.linalg.norm(nozzle.T_flange_nozzle - T_flange_tool) for nozzle in cell.nozzles]
     played = play(program, cell.with_nozzle(int(np.argmin(off)) if off else 0))
     outputs = [
         MotionEvent(each.t, each.move, OUTPUT, f"{each.text}={int(each.value)}")
