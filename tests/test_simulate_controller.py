@@ -7,6 +7,7 @@ import subprocess
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,6 +75,16 @@ def test_own_clock_takes_what_the_slowest_part_takes() -> None:
     turned = np.array([[0, 0, 0, 1], [0, 0, np.sin(0.5), np.cos(0.5)], [0, 0, np.sin(0.5), np.cos(0.5)]])
     slow = own_clock(type(made)(**{**vars(made), "quat": turned, "wait": np.array([0.0, 0.5, 0.0])}))
     assert slow.duration == pytest.approx(1.0 + 0.5 + 0.1)
+
+
+@pytest.mark.parametrize(
+    ("speed", "lasts"), [([0.1, 1.0, 0.5, np.radians(100.0)], 2.0), ([0.1, 1.0, 0.05, np.radians(100.0)], 10.0)]
+)
+def test_own_clock_gives_a_rail_the_time_of_an_axis_that_slides(speed: list[float], lasts: float) -> None:
+    made = program(moves=2)
+    external = np.full((2, 6), np.nan)
+    external[:, 0] = np.radians([0.0, 1000.0])  # mm, read as degrees
+    assert own_clock(replace(made, external=external, speed=np.array([speed, speed]))).duration == pytest.approx(lasts)
 
 
 def test_a_program_that_we_write_runs_from_upload_to_end() -> None:

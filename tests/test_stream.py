@@ -268,6 +268,17 @@ def test_it_sets_off_once_the_bead_is_there_or_nothing_more_fits() -> None:
             assert buffer.advance(1.0) == (k == enough)
 
 
+def test_a_rail_takes_the_time_of_an_axis_that_slides() -> None:
+    made = straight(moves=3)
+    external = np.full((3, 6), np.nan)
+    external[:, 0] = np.radians([0.0, 0.0, 1000.0])  # mm, read as degrees
+    speed = np.tile([0.1, 1.0, 0.5, np.radians(100.0)], (3, 1))
+    buffer = Buffer()
+    for frame in arrived(replace(made, external=external, speed=speed)):
+        buffer.take(frame)
+    assert buffer.advance(np.inf) and buffer.state.moved == pytest.approx(2.1, rel=1e-5)
+
+
 # ---- the sender ---------------------------------------------------------------------------------------------------
 
 

@@ -69,7 +69,8 @@ class ProgramMotion(Protocol):
 
 @dataclass(frozen=True)
 class OwnClock:
-    """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part.
+    """Motion at the programmed speeds, without acceleration: each move takes as long as its slowest part. An axis of the
+    station, which may slide or turn, takes the lesser of its two times.
 
     ends (m,) when each move ends, its wait not counted; starts (m,); first (3,) target; way (m - 1) from each to the next
     """
@@ -96,10 +97,14 @@ def own_clock(program: RobotProgram) -> OwnClock:
     same = np.abs(np.einsum("ij,ij->i", program.quat[1:], program.quat[:-1])).clip(0.0, 1.0)
     turn = 2.0 * np.arccos(same)
     axes = np.nan_to_num(np.abs(np.diff(program.external, axis=0))).max(axis=1, initial=0.0)
-    tip, reorient, _, rotate = program.speed[1:].T
-    rotate = rotate if program.second is None else program.second[2:, 1]  # of its flange, for no cell is known here
+    tip, reorient, slide, rotate = program.speed[1:].T
+    # no cell is known here: neither which axes slide, whose mm were read as degrees, nor where a second arm's flange is
+    if program.second is None:
+        beside = np.minimum(axes / rotate, 1e-3 * np.degrees(axes) / slide)
+    else:
+        beside = axes / program.second[2:, 1]
     # the first move goes to where the robot stands already
-    lasts = np.concatenate([[0.0], np.maximum(np.maximum(step / tip, turn / reorient), axes / rotate)])
+    lasts = np.concatenate([[0.0], np.maximum(np.maximum(step / tip, turn / reorient), beside)])
     after = np.cumsum(lasts + program.wait)
     starts = np.concatenate([[0.0], after[:-1]])
     ends = starts + lasts

@@ -152,18 +152,21 @@ class Buffer:
         self.state = replace(self.state, done=self.state.done + 1, moved=self.state.moved + lasts)
 
     def _lasts(self, frame: Frame) -> float:
-        """Time of a move and its wait [s] at its speeds; the first target after joints is where they lead."""
+        """Time of a move and its wait [s] at its speeds; the first target after joints is where they lead.
+
+        Frames do not say which axes slide: they take the lesser of both times.
+        """
         new = None if frame.kind == 3 else np.array(frame.numbers)
         old, self._last = self._last, new
         if old is None or new is None:
             return frame.numbers[17]
-        tip, turning, _, rotating = new[13:17]
+        tip, turning, sliding, rotating = new[13:17]
         angle = np.degrees(2.0 * np.arccos(min(1.0, abs(float(old[3:7] @ new[3:7])))))
-        axes = float(np.abs(old[7:13] - new[7:13]).max())
+        axes = float(np.abs(old[7:13] - new[7:13]).max()) / max(sliding, rotating)
         step = float(np.linalg.norm(new[:3] - old[:3]))
         if frame.kind == 7:
             step = _arc_length(old[:3], np.array(frame.via), new[:3])
-        return max(step / tip, angle / turning, axes / rotating) + frame.numbers[17]
+        return max(step / tip, angle / turning, axes) + frame.numbers[17]
 
 
 def _arc_length(start: Array, via: Array, end: Array) -> float:
