@@ -212,8 +212,13 @@ def test_frames() -> None:
     assert np.array_equal(in_part_frame(x, "part", bed), x)
     turned = build_cell(load_problem("cylinder_logo"))
     assert np.allclose(in_part_frame(x + np.array([0.0, 0.0, 0.06]), "plate", turned), x)
-    with pytest.raises(InputError, match="positioner turns"):
+    with pytest.raises(InputError, match="positioner moves"):
         in_part_frame(x, "world", turned)
+    held = build_cell(
+        load_problem("cylinder_logo", ["cell.positioner.free=[]", "cell.positioner.held_deg={tilt: 30, rotation: 50}"])
+    )
+    T = held.T_world_holder
+    assert np.allclose(in_part_frame(x @ T[:3, :3].T + T[:3, 3], "world", held), x)
 
 
 # ----------------------------------------------------------------------------------------------------
