@@ -389,6 +389,7 @@ def test_beads_above_make_up_for_the_print(tmp_path: Path) -> None:
         ("as_printed.most_mm=0.3", "more than half of a bead"),
         ("as_printed.map=rest.yaml", "is no height map"),
         ("as_printed.map=nothing.csv", "there is no file"),
+        ("process.bead.section=fibre", "a fibre is as thick as it comes"),
     ],
 )
 def test_a_section_that_cannot_be(change: str, said: str, tmp_path: Path) -> None:
@@ -579,6 +580,11 @@ def test_plans_that_there_are_not(tmp_path: Path) -> None:
     held = {"problem": "hemisphere_honeycomb", "settings": {"overrides": list(PRINT)}}
     (tmp_path / "empty" / "plan.json").write_text(json.dumps(held), encoding="utf-8")
     assert scanned_plan(str(tmp_path / "empty")).toolpath.length == pytest.approx(drawn()[1].length)
+
+
+def test_fibre_is_not_scanned() -> None:
+    with pytest.raises(InputError, match="lays fibre, which is as thick as it comes"):
+        scanned_plan("hemisphere_honeycomb", (*PRINT, "process.bead.section=fibre"))
 
 
 @pytest.mark.slow

@@ -142,6 +142,8 @@ def scanned_plan(given: str, overrides: Sequence[str | Override] = ()) -> Scanne
             raise InputError(reason, file=path, hint="plan it again, or put the problem's files back as they were")
     if any(bead.round for bead in toolpath.beads):
         raise InputError("prints struts in space, which have no top that others lie on", file=given)
+    if problem.process.section == "fibre":
+        raise InputError("lays fibre, which is as thick as it comes, and makes up for nothing", file=given)
     return ScannedPlan(problem, toolpath)
 
 

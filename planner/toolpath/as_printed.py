@@ -184,8 +184,8 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     """The toolpath on what a scan found; as it is where there was none.
 
     Beads of printed layers are moved to where the print is, and those above by what is left of its deviation there; the
-    latter are as high as it takes. Raises InputError for a map that cannot be read, layers that there are not, and bounds
-    beyond what beads bear.
+    latter are as high as it takes. Raises InputError for a map that cannot be read, layers that there are not, bounds beyond
+    what beads bear, and prints without tops or heights to correct.
     """
     spec = problem.as_printed
     if spec is None:
@@ -193,6 +193,9 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     printed = printed_beads(problem, toolpath)
     if any(bead.round for bead in toolpath.beads):
         raise problem.error("as_printed", "struts in space have no top that others lie on", "leave it out")
+    if problem.process.section == "fibre":
+        reason = "a fibre is as thick as it comes, and makes up for nothing"
+        raise problem.error("as_printed", reason, "leave it out")
     least = min(float(bead.height.min()) for bead in toolpath.beads[printed:])
     if spec.most > MOST_SHARE * least:
         reason = f"is more than half of a bead, which is {least * 1e3:g} mm high"
