@@ -28,11 +28,13 @@ from planner.feedback.scan_telling import (
     bound_of,
     drawn_name,
     layer_heights,
+    layer_widths,
     remains,
     table_of,
     write_map,
     write_problem,
 )
+from planner.motion.extrusion import cross_section
 from planner.plan import Check, Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -430,6 +432,11 @@ def test_what_is_told() -> None:
     assert [number for number, _ in heights] == [3, 4]
     table = table_of(mapped(), heights, 0.15e-3)
     assert table[1].split()[:2] == ["3", "0.350–0.650"] and "0.70–1.30" in table[1]
+    widths = layer_widths(drawn()[1], SCANNED)
+    assert widths == pytest.approx([0.6e-3, 0.6e-3])
+    low, own = cross_section("rounded", np.full(2, 0.6), np.array([0.35, 0.5]), 0.0)
+    rounded = table_of(mapped(), heights, 0.15e-3, widths)[1].split()
+    assert rounded[1] == "0.350–0.650" and float(rounded[2].split("–")[0]) == pytest.approx(low / own, abs=6e-3)
     assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
     assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
 

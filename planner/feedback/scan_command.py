@@ -28,6 +28,7 @@ from planner.feedback.scan_telling import (
     bound_of,
     drawn_name,
     layer_heights,
+    layer_widths,
     lines_of,
     remains,
     table_of,
@@ -82,7 +83,9 @@ def _run(options: argparse.Namespace) -> int:
         write_picture(found, layer, heights, most, fresh / PICTURE)
         text = write_problem(plan.problem, found, layer, most, folder)
         (fresh / target).write_text(text, encoding="utf-8")
-    told = [*fit_lines(fit), *lines_of(found, layer), *table_of(found, heights, most), remains(found, heights, most)]
+    widths = layer_widths(plan.toolpath, layer) if plan.problem.process.section == "rounded" else None
+    table = table_of(found, heights, most, widths)
+    told = [*fit_lines(fit), *lines_of(found, layer), *table, remains(found, heights, most)]
     print("\n".join([*told, f"map, picture and the problem of what is left: {folder / target}"]), flush=True)
     if options.map_only:
         return EXIT_VERIFIED

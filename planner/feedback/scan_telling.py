@@ -19,7 +19,7 @@ from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import Value, changed_text
 from planner.toolpath.as_printed import COLUMNS, left, made_up
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 
 MAP, PICTURE = "height_map.csv", "height_map.png"
 MORE_COLUMNS = ("smoothed_mm", "how", "points", "scatter_mm", "bead", "s_mm")
@@ -99,17 +99,22 @@ def lines_of(found: HeightMap, layer: int) -> list[str]:
     return out
 
 
-def table_of(found: HeightMap, heights: Sequence[tuple[int, float]], most: float) -> list[str]:
-    """By layer above the scanned one (its number from 1, and height [m]): how high its beads are, and what is left."""
+def table_of(
+    found: HeightMap, heights: Sequence[tuple[int, float]], most: float, widths: Sequence[float] | None = None
+) -> list[str]:
+    """By layer above the scanned one (its number from 1, and height [m]): how high its beads are, and what is left.
+
+    widths: of beads with half a circle at both sides [m], likewise; None for rectangles
+    """
     out = ["layer  beads, mm     flow, times   top left off, mm (95 %)"]
     rest = found.smoothed
-    for layer, height in heights:
-        change = made_up(rest, most)
-        laid = height - change
+    for k, (layer, height) in enumerate(heights):
+        laid = height - made_up(rest, most)
         rest = left(rest, most, 1)
-        least, greatest = laid.min() / height, laid.max() / height
+        ends = np.array([laid.min(), laid.max(), height])
+        area = ends if widths is None else (widths[k] - ends) * ends + 0.25 * np.pi * ends**2
         out.append(
-            f"{layer:5d}  {laid.min() * 1e3:.3f}–{laid.max() * 1e3:.3f}   {least:.2f}–{greatest:.2f}     "
+            f"{layer:5d}  {laid.min() * 1e3:.3f}–{laid.max() * 1e3:.3f}   {area[0] / area[2]:.2f}–{area[1] / area[2]:.2f}     "
             f"{np.abs(rest).max() * 1e3:.3f} ({np.quantile(np.abs(rest), 0.95) * 1e3:.3f})"
         )
     return out
@@ -130,8 +135,18 @@ def remains(found: HeightMap, heights: Sequence[tuple[int, float]], most: float)
 
 def layer_heights(toolpath: Toolpath, layer: int) -> list[tuple[int, float]]:
     """Numbers from 1, and mean heights of beads [m], of the layers above one."""
+    return [(k + 1, float(np.mean([bead.height.mean() for bead in beads]))) for k, beads in _above(toolpath, layer)]
+
+
+def layer_widths(toolpath: Toolpath, layer: int) -> list[float]:
+    """Mean widths of beads [m] of the layers above one."""
+    return [float(np.mean([bead.width.mean() for bead in beads])) for _, beads in _above(toolpath, layer)]
+
+
+def _above(toolpath: Toolpath, layer: int) -> list[tuple[int, list[Bead]]]:
+    """The layers above one, counted from 0, and their beads."""
     above = sorted({bead.layer for bead in toolpath.beads if bead.layer >= layer})
-    return [(k + 1, float(np.mean([bead.height.mean() for bead in toolpath.beads if bead.layer == k]))) for k in above]
+    return [(k, [bead for bead in toolpath.beads if bead.layer == k]) for k in above]
 
 
 def write_picture(
