@@ -12,7 +12,9 @@ from solved import write_small
 
 from planner import load
 from planner.base.errors import InputError
+from planner.problem import load_problem
 from planner.problem.overrides import overrides_of, parse_override
+from planner.problem.rewrite import absolute_overrides, paths_in
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs", "Cc"]), max_size=12)
 VALUES = st.recursive(
@@ -88,3 +90,14 @@ def test_a_wrong_keyword_is_said() -> None:
 def test_a_problem_keeps_its_changes_when_it_is_changed_again(tmp_path: Path) -> None:
     problem = load(write_small(tmp_path), resolve__rung_mm=12.0)
     assert load(problem, strategy="greedy").overrides == ("resolve.rung_mm=12.0", "strategy=greedy")
+
+
+@pytest.mark.parametrize("own", ["layers.source.svg=other.svg", "layers.source={svg: other.svg, width_mm: 30}"])
+def test_changes_with_paths_say_the_same_beside_a_file_in_another_folder(own: str, tmp_path: Path) -> None:
+    problem = load_problem(write_small(tmp_path / "here"), [own, "layers.count=1"])
+    moved = absolute_overrides(problem)
+    assert moved[1] == problem.sources.overrides[1]
+    there = write_small(tmp_path / "there")
+    for changes in (moved, [each.words for each in moved]):
+        paths = dict(paths_in(load_problem(there, changes)))
+        assert paths["layers", "source", "svg"] == (tmp_path / "here" / "other.svg").resolve()

@@ -62,6 +62,7 @@ from planner.planning.pipeline import REPEATED, solve, with_asked, write_files
 from planner.planning.pipeline import RESULTS_BY as PLANNED_BY
 from planner.problem import load_problem
 from planner.problem.as_run import AsRunSpec
+from planner.problem.rewrite import absolute_overrides
 from planner.problem.yaml_file import Override
 from planner.report.summary import print_summary
 
@@ -113,7 +114,9 @@ def _run(options: argparse.Namespace) -> int:
             write_lessons(learned.lessons, plan.trajectory, errors, fresh / CORRECTIONS)
             write_picture(plan, errors, learned.lessons.corrections, run, fresh / PICTURE)
             (fresh / target.name).write_text(write_problem(problem, name, most, folder), encoding="utf-8")
-        done = sealed(replace(learned.plan, problem=load_problem(target, problem.sources.overrides)))
+        problem = load_problem(target, absolute_overrides(problem))
+        settings = learned.plan.settings | {"overrides": list(problem.overrides)}
+        done = sealed(replace(learned.plan, problem=problem, settings=settings))
         with results_folder(folder, PLANNED_BY) as fresh:
             done = write_files(done, fresh, stages)
     print_summary(done, folder, chosen(done).words, program_notes(done, folder), forecast_words(folder))

@@ -40,6 +40,7 @@ from planner.planning.options import add_set, add_strategy
 from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem
 from planner.problem.clouds import CLOUD_UNITS, read_cloud
+from planner.problem.rewrite import absolute_overrides
 from planner.problem.yaml_file import Override
 from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import MOST_SHARE, beads_up_to
@@ -89,7 +90,8 @@ def _run(options: argparse.Namespace) -> int:
     print("\n".join([*told, f"map, picture and the problem of what is left: {folder / target}"]), flush=True)
     if options.map_only:
         return EXIT_VERIFIED
-    given = [str(folder / target), *(word for each in plan.problem.overrides for word in ("--set", each))]
+    kept = (each.words for each in absolute_overrides(plan.problem))
+    given = [str(folder / target), *(word for each in kept for word in ("--set", each))]
     given += ["--strategy", options.strategy] if options.strategy else []
     given += ["--quiet"] if options.quiet else []
     return solve_main([*given, *(["--out", str(folder)] if options.out else [])])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,22 @@ def overrides_of(given: Sequence[str | Mapping[str, Any]], keywords: Mapping[str
     Raises InputError that names the argument for what is none of these.
     """
     return tuple(_each(given, keywords))
+
+
+def with_paths(override: Override, paths: Mapping[Keys, Path]) -> Override:
+    """An override with the text at some keys of the problem exchanged for a path; itself where it sets none of them."""
+    if not any(keys[: len(override.path)] == override.path for keys in paths):
+        return override
+    value = _with_paths(override.value, override.path, paths)
+    return replace(override, value=value, words=f"{'.'.join(map(str, override.path))}={_yaml(value)}")
+
+
+def _with_paths(value: Any, keys: Keys, paths: Mapping[Keys, Path]) -> Any:
+    if isinstance(value, dict):
+        return {name: _with_paths(each, (*keys, name), paths) for name, each in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_with_paths(each, (*keys, i), paths) for i, each in enumerate(value))
+    return str(paths[keys]) if keys in paths else value
 
 
 def _each(given: Sequence[str | Mapping[str, Any]], keywords: Mapping[str, Any]) -> Iterator[Override]:

@@ -13,8 +13,9 @@ from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from planner.base.errors import InputError, OutputError
 from planner.base.signals import interruptions_held
+from planner.problem.overrides import with_paths
 from planner.problem.problem import Problem
-from planner.problem.yaml_file import Keys, parse_yaml
+from planner.problem.yaml_file import Keys, Override, parse_yaml
 
 Value = float | list[float] | list[str] | str | dict[str, float]
 
@@ -94,6 +95,12 @@ def _without(text: str, section: MappingNode, k: int) -> str:
     while len(lines) > 1 and (not lines[-1].strip() or lines[-1].lstrip().startswith("#")):
         last -= len(lines.pop())
     return text[:first] + text[last:]
+
+
+def absolute_overrides(problem: Problem) -> tuple[Override, ...]:
+    """What was set besides a problem's file, with absolute paths: so it says the same beside a file in another folder."""
+    paths = {keys: path.resolve() for keys, path in paths_in(problem)}
+    return tuple(with_paths(override, paths) for override in problem.sources.overrides)
 
 
 def paths_in(value: Any, keys: Keys = ()) -> Iterator[tuple[Keys, Path]]:
