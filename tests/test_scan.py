@@ -22,6 +22,7 @@ from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, height_map, planned_top
+from planner.feedback.learn_telling import write_problem as write_taught
 from planner.feedback.scan_command import in_part_frame, main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
 from planner.feedback.scan_telling import (
@@ -439,6 +440,18 @@ def test_what_is_told() -> None:
     assert rounded[1] == "0.350–0.650" and float(rounded[2].split("–")[0]) == pytest.approx(low / own, abs=6e-3)
     assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
     assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_what_runs_taught_is_left_out(again: bool, tmp_path: Path) -> None:
+    problem, taught = corrected(tmp_path) if again else drawn()[0], tmp_path / "taught.yaml"
+    taught.write_text(write_taught(problem, "dome_run_2", 1e-3, tmp_path), encoding="utf-8")
+    assert load_problem(taught).as_run is not None
+    text = write_problem(load_problem(taught), mapped(), SCANNED, 0.1e-3, tmp_path)
+    (tmp_path / "rest.yaml").write_text(text, encoding="utf-8")
+    rest = load_problem(tmp_path / "rest.yaml")
+    assert rest.as_run is None and "what runs taught" not in text.lower()
+    assert rest.as_printed is not None and rest.as_printed.most == pytest.approx(0.1e-3)
 
 
 def test_only_what_a_scan_has_added_is_taken_off_a_name(tmp_path: Path) -> None:

@@ -22,6 +22,9 @@ from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import Value, changed_text
 
 CORRECTIONS, PICTURE = "corrections.csv", "learned.png"
+TAUGHT = (
+    "# What runs taught, by beadwise learn: the program asks for places beside the plan, so that the robot keeps to it."
+)
 # Columns more: how far the last run was off the plan there, empty where it is not known; and what is gone on from, see Lessons.
 OFF, GAIN = "off_mm", "gain"
 BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy_mm", "left_dz_mm")
@@ -93,8 +96,7 @@ def write_problem(problem: Problem, name: str, most: float, folder: Path) -> str
         values |= {"as_run.corrections": CORRECTIONS, "as_run.most_mm": most * 1e3}
         return changed_text(problem, values, folder)
     text = changed_text(problem, values, folder)
-    comment = "# What runs taught, by beadwise learn: the program asks for places beside the plan, so that the robot keeps to it."
-    return f"{text.rstrip()}\n\n{comment}\nas_run:\n  corrections: {CORRECTIONS}\n  most_mm: {most * 1e3:.6g}\n"
+    return f"{text.rstrip()}\n\n{TAUGHT}\nas_run:\n  corrections: {CORRECTIONS}\n  most_mm: {most * 1e3:.6g}\n"
 
 
 def run_of(problem: Problem) -> int:

@@ -48,9 +48,11 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
 RESULTS_BY = "scan"  # whose files they are, in manifests
+WRITTEN = ("as_printed", "as_run")  # sections of which the new problem file alone tells
 SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
 SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
 FRAMES = ("part", "plate", "world")  # of clouds
+UNTAUGHT = "what runs taught (as_run) is left out: it is of beads as they were before this scan"
 _LENGTH = 1e-3  # relative: by which the length of a plan's beads may be off that of its problem's
 
 
@@ -87,10 +89,11 @@ def _run(options: argparse.Namespace) -> int:
     widths = layer_widths(plan.toolpath, layer) if plan.problem.process.section == "rounded" else None
     table = table_of(found, heights, most, widths)
     told = [*fit_lines(fit), *lines_of(found, layer), *table, remains(found, heights, most)]
+    told += [] if plan.problem.as_run is None else [UNTAUGHT]
     print("\n".join([*told, f"map, picture and the problem of what is left: {folder / target}"]), flush=True)
     if options.map_only:
         return EXIT_VERIFIED
-    kept = (each.words for each in absolute_overrides(plan.problem))
+    kept = (each.words for each in absolute_overrides(plan.problem) if each.path[0] not in WRITTEN)
     given = [str(folder / target), *(word for each in kept for word in ("--set", each))]
     given += ["--strategy", options.strategy] if options.strategy else []
     given += ["--quiet"] if options.quiet else []

@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.feedback.height_map import FEWEST, HeightMap
+from planner.feedback.learn_telling import TAUGHT
 from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
-from planner.problem.rewrite import Value, changed_text
+from planner.problem.rewrite import Value, changed_text, with_values, without
 from planner.toolpath.as_printed import COLUMNS, left, made_up
 from planner.toolpath.bead import Bead, Toolpath
 
@@ -61,7 +62,10 @@ def drawn_name(problem: Problem) -> str:
 
 
 def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, folder: Path) -> str:
-    """The text of the problem of what is still to be printed, for the folder that the map is in."""
+    """The text of the problem of what is still to be printed, for the folder that the map is in.
+
+    What runs have taught is left out: beads above are of other lengths, and elsewhere.
+    """
     suffix = f"_after_{layer}"
     values: dict[str, Value] = {
         "map": MAP,
@@ -70,12 +74,12 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
         "smoothing_mm": found.radius * 1e3,
     }
     name: dict[str, Value] = {"name": drawn_name(problem)[: LONGEST_NAME - len(suffix)] + suffix}
+    text = without(changed_text(problem, name, folder), ["as_run"]).replace(f"{TAUGHT}\n", "")
     if problem.as_printed is not None:
-        return changed_text(problem, name | {f"as_printed.{key}": value for key, value in values.items()}, folder)
+        return with_values(text, {f"as_printed.{key}": value for key, value in values.items()})
     lines = "".join(
         f"  {key}: {value if isinstance(value, str) else f'{value:.6g}'}\n" for key, value in values.items()
     )
-    text = changed_text(problem, name, folder)
     comment = "# What is printed, by beadwise scan: layers above are laid on that.\n"
     return f"{text.rstrip()}\n\n{comment}as_printed:\n{lines}"
 
