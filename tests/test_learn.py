@@ -49,7 +49,7 @@ from planner.feedback.learn_fit import (
 )
 from planner.feedback.learn_telling import next_name, read_lessons, write_problem
 from planner.feedback.learn_track import recorded_way
-from planner.feedback.planned import planned_problem
+from planner.feedback.planned import PlannedWith, planned_problem, planned_with
 from planner.feedback.recordings import read_log
 from planner.motion.as_run import FADE, Corrections, displacements, read_corrections
 from planner.plan import Plan, Trajectory
@@ -533,6 +533,29 @@ def test_a_folder_of_results_of_ones_own_problem_tells_its_file(tmp_path: Path) 
     (folder / "plan.json").write_text(json.dumps(held | {"problem_file": None}), encoding="utf-8")
     with pytest.raises(InputError, match="waypoints of arrays"):
         planned_problem(str(folder))
+
+
+def test_what_is_planned_again_is_planned_as_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = {
+        "problem": "small",
+        "problem_file": small_problem().file.as_posix(),
+        "strategy": "greedy",
+        "first_bead": 1,
+        "settings": {"dt": 0.01, "overrides": []},
+    }
+    (tmp_path / "plan.json").write_text(json.dumps(held), encoding="utf-8")
+    asked = []
+
+    def solved(problem: Problem, strategy: str | None, dt: float, *_: object, first_bead: int, **__: object) -> Plan:
+        asked.append((strategy, dt, first_bead))
+        return small_plan()
+
+    monkeypatch.setattr("planner.feedback.learn_command.solve", solved)
+    for changes, strategy in (((), None), ((), "ladder"), (("strategy=sqp",), None)):
+        ran_plan(str(tmp_path), changes, strategy, Stages())
+    assert asked == [("greedy", 0.01, 1), ("ladder", 0.01, 1), (None, 0.01, 1)]
+    resumed = replace(small_plan(), trajectory=replace(small_plan().trajectory, first_bead=2))
+    assert planned_with("small.plan", resumed) == PlannedWith("ladder", 2, resumed.settings["dt"])
 
 
 TAUGHT = {

@@ -52,7 +52,7 @@ from planner.feedback.learn_telling import (
     write_problem,
 )
 from planner.feedback.learn_track import recorded_way, way_along
-from planner.feedback.planned import planned_problem
+from planner.feedback.planned import planned_problem, planned_with
 from planner.feedback.recordings import add_recording, read_log
 from planner.motion.as_run import Corrections, asked_of, asked_trajectory, corrections_of
 from planner.plan import Check, Plan
@@ -184,13 +184,23 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
 
 
 def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
-    """The plan whose program was run: as it was saved, or planned again.
+    """The plan whose program was run: as it was saved, or planned again as it was, but for what is given otherwise.
 
     Raises InputError where there is no program of it, Refusal where there is no plan.
     """
     problem, plan = planned_problem(given)
     if plan is None or overrides or strategy:
-        plan = solve(problem.changed(overrides), strategy, stages=stages, second_process=True, baseline=False)
+        made, changed = planned_with(given, plan), problem.changed(overrides)
+        own = made.strategy if changed.strategy == problem.strategy else None
+        plan = solve(
+            changed,
+            strategy or own,
+            made.dt,
+            stages,
+            second_process=True,
+            first_bead=made.first_bead,
+            baseline=False,
+        )
     else:
         plan = replace(plan, problem=problem)
     if not plan.verified:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from planner.base.errors import InputError
 from planner.plan import Plan
+from planner.planning.options import DEFAULT_DT
 from planner.problem import Problem, load_problem, shipped_problems
 
 SAVED = (".npz", ".plan")  # how files of plans end
@@ -19,12 +20,33 @@ def planned_problem(given: str) -> tuple[Problem, Plan | None]:
     Raises InputError where the problem's file cannot be found any more.
     """
     path = Path(given)
-    if path.is_dir() and given not in shipped_problems():
+    if _is_results(given):
         return _of_folder(path), None
     if path.suffix in SAVED or (path.is_file() and path.suffix not in (".yaml", ".yml")):
         plan = Plan.load(path)
         return _of_plan(plan, path), plan
     return load_problem(given), None
+
+
+@dataclass(frozen=True)
+class PlannedWith:
+    """What decides a plan besides its problem: its strategy (None: the problem's own), first bead, and time between samples
+    [s]."""
+
+    strategy: str | None = None
+    first_bead: int = 0
+    dt: float = DEFAULT_DT
+
+
+def planned_with(given: str, plan: Plan | None) -> PlannedWith:
+    """What decided a plan besides its problem, of what `planned_problem` gave of it."""
+    if plan is not None:
+        return PlannedWith(plan.strategy, plan.first_bead, float(plan.settings.get("dt", DEFAULT_DT)))
+    return planned_results(Path(given)).made if _is_results(given) else PlannedWith()
+
+
+def _is_results(given: str) -> bool:
+    return Path(given).is_dir() and given not in shipped_problems()
 
 
 def _of_plan(plan: Plan, path: Path) -> Problem:
@@ -38,12 +60,13 @@ def _of_plan(plan: Plan, path: Path) -> Problem:
 
 @dataclass(frozen=True)
 class PlannedResults:
-    """What the plan.json of a folder of results says of its problem: name, file or shipped name (None: from arrays), and what
-    `--set` changed (None: it does not say)."""
+    """What the plan.json of a folder of results says of its problem: name, file or shipped name (None: from arrays), what
+    `--set` changed (None: it does not say), and what else decided the plan."""
 
     name: str
     problem_file: str | None
     overrides: tuple[str, ...] | None
+    made: PlannedWith
 
 
 def planned_results(folder: Path) -> PlannedResults:
@@ -54,11 +77,13 @@ def planned_results(folder: Path) -> PlannedResults:
         name, settings = str(held["problem"]), held.get("settings")
         overrides = None if settings is None else tuple(str(each) for each in settings["overrides"])
         given = held.get("problem_file", name)
+        dt = float((settings or {}).get("dt", DEFAULT_DT))
+        made = PlannedWith(held.get("strategy"), int(held.get("first_bead", 0)), dt)
     except FileNotFoundError as error:
         raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("is no plan.json that solve wrote", file=file) from error
-    return PlannedResults(name, given if isinstance(given, str) else None, overrides)
+    return PlannedResults(name, given if isinstance(given, str) else None, overrides, made)
 
 
 def _of_folder(folder: Path) -> Problem:
