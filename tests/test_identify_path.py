@@ -36,8 +36,8 @@ from planner.feedback.readings import counting, run_starts
 from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.plan.seal import sealed
-from planner.planning.pipeline import write
-from tests.solved import small_plan
+from planner.planning.pipeline import solve, write
+from tests.solved import small_plan, small_problem
 from tests.test_player import CELL, program_through
 
 Array = NDArray[np.float64]
@@ -311,6 +311,12 @@ def test_recordings_of_something_else_are_refused(tmp_path: Path, case: str):
     change, said = REFUSED[case]
     with pytest.raises(InputError, match=said):
         run_and_log(tmp_path, written(tmp_path, change))
+
+
+def test_a_saved_plan_of_a_resumed_print_is_one_of_its_problem(tmp_path: Path):
+    plan = solve(small_problem(), first_bead=2, baseline=False)
+    assert plan.name == "small_from_2"
+    assert planned_run(str(plan.save(tmp_path / "rest.plan")), plan.problem, plan.cell).language == "rapid"
 
 
 def test_another_unit_is_refused(tmp_path: Path):

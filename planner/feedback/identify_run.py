@@ -83,8 +83,8 @@ def planned_run(given: str, problem: Problem, cell: Cell) -> PlannedRun:
             "is no plan", file=path, hint="a folder that solve wrote, or what plan.save wrote (.plan, .npz)"
         )
     plan = Plan.load(path)
-    if plan.joint_names != cell.joint_names or plan.name != problem.name:
-        raise InputError(f"is a plan of {plan.name}", file=path, hint=f"one of {problem.name}, or another CELL")
+    if plan.joint_names != cell.joint_names or plan.problem.name != problem.name:
+        raise InputError(f"is a plan of {plan.problem.name}", file=path, hint=f"one of {problem.name}, or another CELL")
     name = next((each for each in chosen(plan).names if each in CONTROLLERS), None)
     if name is None:
         return PlannedRun(path_of_samples(plan.q, plan.cell), plan.cell, "", "the plan's samples")
