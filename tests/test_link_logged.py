@@ -104,6 +104,17 @@ def test_the_command(tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[
     said = capsys.readouterr().err
     assert f"stopped: {UNSAID}; last acknowledged line 15 of {TOTAL} (bead 1, layer 0)" in said
     assert "to go on: python -m planner.solve cup_7 --from-bead 1, with the same" in said
+    plan = tmp_path / "plan.json"
+    held = {
+        "problem": "cup",
+        "problem_file": "my cup.yaml",
+        "strategy": "ladder",
+        "settings": {"overrides": ["layers.count=2"]},
+    }
+    plan.write_text(json.dumps(json.loads(plan.read_text("utf-8")) | held), "utf-8")
+    assert main([str(made), "--where", str(log)]) == 3
+    said = capsys.readouterr().err
+    assert "planner.solve 'my cup.yaml' --from-bead 1 --strategy ladder --set layers.count=2\n" in said
     assert main([str(made), "--where", str(whole)]) == 0
     log.write_text(other_module(whole.read_text()))
     assert main([str(made), "--where", str(log)]) == 2

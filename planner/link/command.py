@@ -18,7 +18,7 @@ from rich.console import Console
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INTERRUPTED, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.web.options import add_page_options, tell_address
-from planner.link.as_written import add_edited, program_as_written
+from planner.link.as_written import PLAN, add_edited, program_as_written, read_json
 from planner.link.connections import (
     CONNECT_TIME,
     Address,
@@ -49,7 +49,7 @@ from planner.link.robot import (
 )
 from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
-from planner.link.telling import RunProgress, Show, ending
+from planner.link.telling import RunProgress, Show, ending, going_on
 
 # ----------------------------------------------------------------------------------------------------
 # The command.
@@ -95,9 +95,10 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     written = [*(name for name in files if (folder / name).is_file()), lines_file(options.program).name]
     program_as_written(folder, written, options.edited, say)
     problem = _problem_of(files[options.program.name])
+    planned = going_on(read_json(folder / PLAN), problem)
     if options.where is not None:
         outcome = outcome_of(lines, options.where)
-        for text in ending(lines, outcome, problem):
+        for text in ending(lines, outcome, planned):
             say(text)
         return _code(outcome)
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
@@ -132,7 +133,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
                 started.over = True
         if options.unload:
             _unload(rws, programs_of(files), say)
-        texts = [*ending(lines, outcome, problem), *_besides(outcome, trouble), f"log: {log.path}"]
+        texts = [*ending(lines, outcome, planned), *_besides(outcome, trouble), f"log: {log.path}"]
         for text in texts:
             say(text)
         hub.end(outcome.reason is None, texts)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
@@ -95,7 +97,31 @@ def duration(seconds: float) -> str:
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}" if minutes >= 60 else f"{minutes}:{rest:02d}"
 
 
-def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
+@dataclass(frozen=True)
+class GoingOn:
+    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead."""
+
+    problem: str
+    options: str = ", with the same --set and --strategy"
+
+    def words(self, bead: int) -> str:
+        """How to go on from a bead."""
+        return f"to go on: python -m planner.solve {self.problem} --from-bead {bead}{self.options}"
+
+
+def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
+    """How the print of a plan.json is planned again; by the name in its program's header where that does not say."""
+    try:
+        problem = plan.get("problem_file") or plan["problem"]
+        words = ["--strategy", plan["strategy"]]
+        for override in plan["settings"]["overrides"]:
+            words += ["--set", override]
+        return GoingOn(shlex.quote(problem), f" {shlex.join(words)}")
+    except (KeyError, TypeError):
+        return GoingOn(name)
+
+
+def ending(lines: ProgramLines, outcome: RunOutcome, planned: GoingOn) -> list[str]:
     """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
     total, n = len(lines), outcome.position.n
     if outcome.reason is None:
@@ -111,7 +137,4 @@ def ending(lines: ProgramLines, outcome: RunOutcome, problem: str) -> list[str]:
     resume = outcome.position.resume
     if resume is None:
         return [*out, "all beads were printed"]
-    return [
-        *out,
-        f"to go on: python -m planner.solve {problem} --from-bead {resume}, with the same --set and --strategy",
-    ]
+    return [*out, planned.words(resume)]
