@@ -214,6 +214,15 @@ def test_a_file_of_no_rows_displaces_nothing(plan: Plan, tmp_path: Path) -> None
     assert len(read_corrections(path, plan.toolpath, WRONG).s) == 0
 
 
+def test_the_verifier_reads_corrections_with_a_mark_and_comments(plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "corrections.csv"
+    path.write_text(ROWS, encoding="utf-8")
+    plain = learned_shifts(path, plan.trajectory)
+    path.write_text(f"# by hand\n{ROWS}# the end\n", encoding="utf-8-sig")
+    assert plain.any() and np.array_equal(learned_shifts(path, plan.trajectory), plain)
+    assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
+
+
 SPOILERS = st.lists(
     st.tuples(
         st.floats(0.0, 1.0), st.sampled_from([b",", b"nan", b"1e308", b"-", b"\n", b"x", b'"', b"\x00", b";", b""])

@@ -44,7 +44,7 @@ from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import DeviationField, beads_up_to, left, made_up, read_map
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.verify.scanned import ScannedTop, deviations, still_off
+from planner.verify.scanned import ScannedTop, deviations, scanned_top, still_off
 from planner.verify.verdict import verify
 
 PRINT = ("layers.count=4", "layers.source.size_mm=[30, 30]")  # of the honeycomb on a dome
@@ -363,6 +363,15 @@ def test_the_verifier_reads_the_map_alike_with_other_code(tmp_path: Path) -> Non
             assert top.tree is top.tree  # built once, and searched many times
             ours = field.at(places, bead.normals[::7])
             assert np.abs(deviations(top, places, bead.normals[::7], spec.smoothing) - ours).max() < 1e-9
+
+
+def test_the_verifier_reads_maps_with_a_mark_and_comments(tmp_path: Path) -> None:
+    spec = corrected(tmp_path).as_printed
+    assert spec is not None
+    plain = scanned_top(spec)
+    spec.map.write_text("# by hand\n" + spec.map.read_text("utf-8") + "# the end\n", "utf-8-sig")
+    assert np.array_equal(scanned_top(spec).points, plain.points)
+    assert len(read_map(spec.map, spec.smoothing, WRONG).points) == len(plain.points)
 
 
 def test_beads_above_make_up_for_the_print(tmp_path: Path) -> None:

@@ -87,9 +87,10 @@ def learned_shifts(path: Path, t: Trajectory) -> Array:
     Raises InputError for a file that cannot be read.
     """
     try:
-        with path.open(encoding="utf-8") as stream:
-            names = [name.strip() for name in stream.readline().split(",")]
-            columns, lines = [names.index(name) for name in _FIELDS], [line for line in stream if line.strip()]
+        with path.open(encoding="utf-8-sig") as stream:
+            head, *lines = (line for line in stream if line.strip() and not line.startswith("#"))
+        names = [name.strip() for name in head.split(",")]
+        columns = [names.index(name) for name in _FIELDS]
         table = np.zeros((0, len(_FIELDS)))
         if lines:
             table = np.loadtxt(lines, delimiter=",", usecols=columns, ndmin=2)

@@ -76,7 +76,9 @@ def scanned_top(spec: AsPrintedSpec) -> ScannedTop:
 @lru_cache(maxsize=2)
 def _read(path: Path, changed: int, size: int) -> ScannedTop:
     """The map's file; `changed` and `size` tell one from what stood there before."""
-    table = np.genfromtxt(path, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    with path.open(encoding="utf-8-sig") as stream:
+        lines = [line for line in stream if not line.startswith("#")]
+    table = np.genfromtxt(lines, delimiter=",", names=True, dtype=None, encoding="utf-8")
     rows = np.column_stack([np.asarray(table[name], dtype=float) for name in _FIELDS])
     measured = np.asarray(table["how"] == _MEASURED) if "how" in (table.dtype.names or ()) else np.ones(len(rows), bool)
     normals = rows[:, 3:6] / np.sqrt((rows[:, 3:6] ** 2).sum(axis=1, keepdims=True))
