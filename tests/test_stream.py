@@ -41,6 +41,7 @@ from planner.link.streaming import (
     server_module,
     stream_of,
 )
+from planner.link.telling import GoingOn
 from planner.simulate import stream as server
 from planner.simulate.board import STREAM_FAULTS, faults_of
 from planner.simulate.stream import Buffer, Frame, StreamEnded, StreamServer, frame_of
@@ -374,6 +375,18 @@ def test_whatever_goes_wrong_stops_both(fault: str, said: str, there_said: str) 
         with pytest.raises(StreamStopped, match=said):
             send(stream_of(printed()), *there.address, silent)
         assert until_over(there) == there_said
+
+
+def test_a_stop_tells_which_bead_was_begun_and_how_to_go_on() -> None:
+    stream, told = stream_of(printed()), list[str]()
+    assert [stream.begun(done) for done in (0, 1, 2, stream.total)] == [None] * 4
+    with (
+        closing(StreamServer("127.0.0.1", 0, 5.0, faults_of(["stop@30"], STREAM_FAULTS), capacity=16)) as there,
+        pytest.raises(StreamStopped),
+    ):
+        send(stream, *there.address, told.append, planned=GoingOn("my.yaml", " --strategy sqp"))
+    assert told[-2].startswith("bead 0 was begun, or the way there")
+    assert told[-1] == "to go on: python -m planner.solve my.yaml --from-bead 0 --strategy sqp"
 
 
 def test_a_page_in_a_browser_streams_no_move() -> None:

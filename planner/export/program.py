@@ -114,6 +114,8 @@ class RobotProgram:
     station                    mechanical unit that moves the part; empty for a fixed bed
     start                      (12,) joints and station axes of the first move [rad], NaN where unused; likewise
     approach                   (4,) speed of that move, as `speed`; None where a program does not say
+    bead                       (m,) whose procedure the move stands in, that of its bead or on the way there, -1 for none; None
+                               where a reader does not tell
     second                     (m + 1, 4) likewise of the arm that moves the part, by its flange in the world: of its way to the
                                start, then of each move; None where no arm does
     linear, fine               (m,) bool; what is not linear goes straight in joint space
@@ -158,6 +160,7 @@ class RobotProgram:
     arcs: Array | None = None
     arc_postures: Array | None = None
     approach: Array | None = None
+    bead: Indices | None = None
     second: Array | None = None
 
     @property

@@ -20,16 +20,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Indices
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
 from planner.base.gcode_lines import commands_in
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
-from planner.link.as_written import add_edited, program_as_written
+from planner.link.as_written import PLAN, add_edited, program_as_written, read_json
 from planner.link.connections import given_address, part
 from planner.link.feed import BoardFeed, FeedStopped, feeding
 from planner.link.run import PASSWORD as BOARD_PASSWORD
+from planner.link.telling import GoingOn, going_on
+from planner.plan import TRAVEL
 
 # ----------------------------------------------------------------------------------------------------
 # Frames: one for each move of a program (see BeadwiseStream.mod).
@@ -65,14 +67,23 @@ class Stream:
     signals   outputs of the extruders, by the frames' tool
     longest   time of the longest single move or wait [s], at the programmed speeds
     lines     frame → what the extruder's board gets once the controller has handed the frame to its motion
+    beads     (m) of its moves, or on the way there; TRAVEL for none, None where the program does not tell
     """
 
     total: int
     signals: tuple[str, ...]
     longest: float
     lines: dict[int, tuple[str, ...]]
+    beads: Indices | None
     _values: Array
     _codes: NDArray[np.int64]
+
+    def begun(self, done: int) -> int | None:
+        """The bead, or that on whose way, the last of so many frames is; None where it is on none."""
+        if self.beads is None or done < 2:
+            return None
+        bead = int(self.beads[min(done - 2, len(self.beads) - 1)])
+        return None if bead == TRAVEL else bead
 
     def rests(self, frame: int) -> bool:
         """Whether the robot stands at the end of a frame."""
@@ -138,7 +149,7 @@ def stream_of(program: RobotProgram) -> Stream:
     # what is due before the first move comes with the joints; frame 1 is those
     lines = {move + 2: texts for move, texts in sorted(program.sends.items())}
     codes[[frame - 1 for frame in lines], 1] |= TELL
-    return Stream(m + 2, tuple(signals), _longest(program), lines, values, codes)
+    return Stream(m + 2, tuple(signals), _longest(program), lines, program.bead, values, codes)
 
 
 def _flows(program: RobotProgram, codes: NDArray[np.int64], values: Array) -> None:
@@ -477,7 +488,8 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             board = None
             if options.head is not None:
                 board = stack.enter_context(feeding(given_address(options.head, BOARD_PORT, "--head")))
-            sender = send(stream, host, port, say, None if board is None else LineFeed(stream, board))
+            feed = None if board is None else LineFeed(stream, board)
+            sender = send(stream, host, port, say, feed, going_on(read_json(options.folder / PLAN), "PROBLEM"))
         say(f"finished after {sender.total - 1} moves; the robot waited for moves {sender.starved} times within beads")
     return EXIT_VERIFIED
 
@@ -515,11 +527,19 @@ def program_in(folder: Path) -> tuple[RobotProgram, str]:
     return read_rapid_files(texts), "" if found is None else found[1]
 
 
-def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines: LineFeed | None = None) -> Sender:
+def send(
+    stream: Stream,
+    host: str,
+    port: int,
+    say: Callable[[str], None],
+    lines: LineFeed | None = None,
+    planned: GoingOn | None = None,
+) -> Sender:
     """Send all of a stream, from connection to end, and its lines to the board.
 
     Raises InputError where nobody answers, StreamStopped and FeedStopped where it ended before its time; then, and when
-    interrupted, the controller was told to stop as far as it can be told.
+    interrupted, the controller was told to stop as far as it can be told, and `say` gets which bead was begun, and how to go
+    on from it.
     """
     try:
         connection = socket.create_connection((host, port), timeout=CONNECTING)
@@ -533,6 +553,10 @@ def send(stream: Stream, host: str, port: int, say: Callable[[str], None], lines
             _pump(connection, sender, waiting, say, lines)
         except (StreamStopped, FeedStopped, KeyboardInterrupt):
             part(connection, sender.stop(bytes(waiting)), LAST_WORDS)
+            if (bead := stream.begun(sender.done)) is not None:
+                say(f"bead {bead} was begun, or the way there: look whether the one before is whole")
+                if planned is not None:
+                    say(planned.words(bead))
             raise
     if lines is not None:
         lines.finish()

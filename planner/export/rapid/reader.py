@@ -222,6 +222,7 @@ class _NozzleRun(TaskRun):
             external=radians(table[:, 11:]),
             zone=np.array([ZONES[move.parts[AT]] for move in moves]),
             speed=np.array(speeds) * SPEED_UNITS,
+            bead=np.array(self.beads[first_move:end]),
             wait=np.array([self.waits.get(i, 0.0) for i in range(first_move, end)]),
             triggers=triggers,
             sends={i - first_move: tuple(texts) for i, texts in self.sends.items() if first_move <= i < end},

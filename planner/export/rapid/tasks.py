@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import ChainMap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from planner.export.program import RobotProgram
 from planner.export.rapid.modules import SHAPE_JOINTS, SPEED_UNITS, Module, numbers
 from planner.export.rapid.multimove import TASKS, UNDO
 from planner.export.rapid.text import NOT_LOADED, OWN_ZONES
+from planner.plan import TRAVEL
 
 # ----------------------------------------------------------------------------------------------------
 # Any task.
@@ -24,6 +26,7 @@ from planner.export.rapid.text import NOT_LOADED, OWN_ZONES
 AROUND = ("setting", "unit", "output", "demanded")
 ONLY_MAIN = ("call", "late", "load", "meet", *AROUND)  # what only main does
 MEETINGS = ("WaitSyncTask", "SyncMoveOn", "SyncMoveOff")  # of two tasks, once each and in this order
+_BEAD = re.compile(r"Bead(\d+)")  # procedures are numbered from 1
 BINDS = "both tasks wait for each other, move together and part, once each"
 
 
@@ -55,7 +58,8 @@ class TaskRun:
 
     module     the one with main
     begun      the start, and where a further tool comes into use
-    moves, zones, identities   of all further moves; identities are those that they have in common with another task's
+    moves, zones, beads, identities   of all further moves: beads are those in whose procedures they stand, identities those
+               that they have in common with another task's
     met        where the task waits for another one, and where both begin and end to move together
     """
 
@@ -69,6 +73,8 @@ class TaskRun:
         self.begun: list[ToolStart] = []
         self.moves: list[Statement] = []
         self.zones: list[str] = []
+        self.beads: list[int] = []
+        self.bead = TRAVEL  # whose procedure is followed
         self.identities: list[int] = []
         self.met: list[tuple[str, str]] = []
         for each in others:
@@ -138,7 +144,10 @@ class TaskRun:
         return loads
 
     def _call(self, statement: Statement, procs: Mapping[str, list[Statement]]) -> None:
-        for inner in procs[known(statement, statement.parts[0], procs)]:
+        name = known(statement, statement.parts[0], procs)
+        bead = _BEAD.fullmatch(name)
+        self.bead = TRAVEL if bead is None else int(bead[1]) - 1
+        for inner in procs[name]:
             if inner.word in ONLY_MAIN:
                 raise inner.error("only main calls procedures, loads modules, and sets what holds for all")
             self.take(inner)
@@ -191,6 +200,7 @@ class TaskRun:
             known(statement, zone, self.module.zones)
         self.moves.append(statement)
         self.zones.append(zone)
+        self.beads.append(self.bead)
 
     def speed(self, statement: Statement, name: str) -> list[float]:
         """The numbers of a speeddata. Raises InputError for one that is not known, or stands still."""
