@@ -64,18 +64,18 @@ def problem_of(*changes: tuple[str, str]) -> Problem:
 
 
 @cache
-def two_materials() -> Plan:
-    """The small print, its first bead of one material and the others of another, solved once."""
+def two_materials(order: tuple[str, ...] = ORDER, *changes: tuple[str, str]) -> Plan:
+    """The small print, its beads of these materials, solved once: the first bead of one, the others of another."""
     build = planner.planning.pipeline.build_toolpath
 
     def mixed(problem: Problem) -> Toolpath:
         toolpath = build(problem)
-        beads = zip(toolpath.beads, ORDER, strict=True)
+        beads = zip(toolpath.beads, order, strict=True)
         return replace(toolpath, beads=tuple(replace(bead, material=material) for bead, material in beads))
 
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(planner.planning.pipeline, "build_toolpath", mixed)
-        return solve_alone(load_problem(write_small(Path(folder), TWO)))
+        return solve_alone(load_problem(write_small(Path(folder), TWO, *changes)))
 
 
 def failed(plan: Plan) -> set[str]:
@@ -240,6 +240,26 @@ def test_the_events_come_in_order_each_with_its_material() -> None:
         ("prime", 2, "pva"),
         ("retract", 2, "pva"),
     ]
+
+
+@pytest.mark.slow
+def test_a_pause_before_a_change_purges_the_material_before() -> None:
+    change = "  change: {wait_s: 2, purge_mm: 5}\n"
+    pause = "  pauses: [{before_layer: 2, wait_s: 5, purge_mm: 20}]\n"
+    plan = two_materials(("pla",) * 3 + ("pva",) * 3, ("  count: 1\n", "  count: 2\n"), (change, change + pause))
+    assert plan.verified, [check for check in plan.checks if not check.ok]
+    found = [(event.kind, event.material) for event in plan.trajectory.events if event.bead == 3]
+    assert found == [
+        ("pause", ""),
+        ("purge", "pla"),
+        ("change", "pva"),
+        ("purge", "pva"),
+        ("prime", "pva"),
+        ("retract", "pva"),
+    ]
+    assert FED in failed(with_events(plan, lambda e: replace(e, material="pva") if e.amount == 20 * MM else e))
+    assert FED in failed(with_events(plan, lambda e: replace(e, material="pla") if e.kind == "prime" else e))
+    assert gcode_differences(plan, gcode(plan)) == []
 
 
 def test_each_material_takes_what_its_beads_hold_and_what_is_pushed_of_it() -> None:

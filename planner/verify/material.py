@@ -366,11 +366,14 @@ def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory) -> Check:
     wanted = np.where(t.deposit, own[t.bead], NONE)
     wrong = t.deposit & ((selected(names, t.events, t.t) != wanted) | (wanted == NONE))
     count, where = int(wrong.sum()), place(t, int(np.argmax(wrong))) if wrong.any() else EVERYWHERE
+    changes = {event.bead: event.start for event in t.events if event.kind == "change"}
     for event in t.events:
         if event.amount == 0.0:
             continue
         middle = selected(names, t.events, np.array([event.start + 0.5 * event.duration]))[0]
         bead = event.bead if 0 <= event.bead < len(own) else t.first_bead  # what is pushed before all is for that one
+        if event.kind == "purge" and bead > t.first_bead and event.start < changes.get(bead, -np.inf):
+            bead -= 1  # what a pause purges is of the material before
         if middle == NONE or not names[middle] == event.material == toolpath.beads[bead].material:
             count, where = count + 1, f"{event.kind} of bead {event.bead}" if count == 0 else where
     return Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where)
