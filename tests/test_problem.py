@@ -227,6 +227,18 @@ def test_extruder_and_section(in_tmp: Path) -> None:
             "leave out lag_s",
         ),
         (
+            ["process.bead.section=fibre", "process.prime.length_mm=2"],
+            "process.prime",
+            "length_mm is 2, and a fibre is fed as long as its bead",
+            "leave it out",
+        ),
+        (
+            ["process.bead.section=fibre", "process.retract.length_mm=1.5"],
+            "process.retract",
+            "length_mm is 1.5, and a fibre is fed as long as its bead",
+            "leave it out",
+        ),
+        (
             ["process.fibre={cut_length_mm: 30}", "process.bead.section=rounded"],
             "process.fibre",
             "a fibre's section is not rounded",

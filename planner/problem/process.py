@@ -657,4 +657,8 @@ class ProcessSpec(AroundBeadSpec):
             raise refusal(
                 "a fibre does not lag the motor that feeds it", "leave out lag_s", fields=["fibre", "bead", "extruder"]
             )
+        for name, move in (("prime", self.prime), ("retract", self.retract)):
+            if move.length > 0.0:
+                reason = f"{name}.length_mm is {move.length * 1e3:g}, and a fibre is fed as long as its bead"
+                raise refusal(reason, "leave it out, or take another bead.section", fields=["bead", name])
         return self
