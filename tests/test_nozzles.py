@@ -112,6 +112,12 @@ def test_what_does_not_fit_together_is_told(changes: tuple[tuple[str, str], ...]
     assert str(caught.value.field).startswith(field)
 
 
+def test_a_nozzle_may_be_called_as_the_one_tool_that_there_is_not() -> None:
+    problem = problem_of(*TWO, ("tPva: {tip", "tPen: {tip"), ("nozzle: tPva", "nozzle: tPen"))
+    assert problem.program.tool == "tPen"
+    assert list(problem.cell.nozzles) == ["tPla", "tPen"]
+
+
 def test_nozzles_that_touch_are_told() -> None:
     problem = problem_of(
         *TWO, ("tip_mm: [44.51, 9.9, 118], axis: [0.5, 0, 1]", "tip_mm: [-40, 9.9, 114], axis: [0, 0, 1]")

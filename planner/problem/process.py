@@ -206,7 +206,8 @@ def check_materials(problem: Problem) -> None:
             raise problem.error(f"{field}.material", reason, f"did you mean {near}? {hint}" if near else hint)
     check_nozzles(problem)
     program = problem.program
-    uses = {"tool": program.tool, "work_object": program.work_object, "station": program.station or POSITIONER}
+    uses = {} if problem.cell.nozzles else {"tool": program.tool}  # each of several nozzles is a tool of its own
+    uses |= {"work_object": program.work_object, "station": program.station or POSITIONER}
     taken = {name.lower(): f"program.{use}" for use, name in uses.items()}
     for name in problem.cell.nozzles:
         first = taken.setdefault(name.lower(), f"cell.nozzles.{name}")
