@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from solved import solve_alone, write_small
 
+import planner.planning.pipeline
 from planner.base.arrays import Array, Ints
 from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
@@ -52,9 +53,18 @@ def toolpath_of(process: str, *changes: tuple[str, str]) -> Toolpath:
 
 @cache
 def plan_with(process: str) -> Plan:
-    """The small print in three layers, solved once for each process."""
-    with tempfile.TemporaryDirectory() as folder:
-        return solve_alone(load_problem(write_small(Path(folder), THREE, (SPEED, SPEED + process))))
+    """The small print in three layers, of all its materials in turn, solved once for each process."""
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        problem = load_problem(write_small(Path(folder), THREE, (SPEED, SPEED + process)))
+        if problem.process.materials:
+            patch.setattr(planner.planning.pipeline, "build_toolpath", in_turn)
+        return solve_alone(problem)
+
+
+def in_turn(problem: Problem) -> Toolpath:
+    toolpath, names = build_toolpath(problem), list(problem.process.materials)
+    beads = (replace(bead, material=names[bead.layer % len(names)]) for bead in toolpath.beads)
+    return replace(toolpath, beads=tuple(beads))
 
 
 def failed(plan: Plan) -> set[str]:
@@ -368,7 +378,7 @@ def test_the_verifier_asks_the_problem(window: str, check: str) -> None:
         "  pauses: [{before_layer: 3, wait_s: 3, purge_mm: 5}]\n",
         "  travel: upright\n  retract: {length_mm: 1}\n  prime: {length_mm: 1}\n",
         "  hand_over: motion\n",
-        "  materials: {red: {}, blue: {}}\n",
+        "  materials: {red: {}, blue: {}}\n  change: {wait_s: 2, purge_mm: 5}\n",
         "  extruder: {motor: on_off, flow_tolerance: 10}\n",
     ],
 )
@@ -376,6 +386,8 @@ def test_a_window_beside_other_things_that_are_asked(process: str) -> None:
     plan = plan_with(process + "  interlayer_time: {least_s: 8, most_s: 30}\n")
     assert plan.verified, failed(plan)
     assert plan.metrics["interlayer_time_min_s"] >= 8.0 - plan.t[1]
+    changes = [event for event in plan.trajectory.events if event.kind == "change"]
+    assert len(changes) == 2 * bool(plan.problem.process.materials)
 
 
 @pytest.mark.slow
