@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from export_fixtures import GOLDEN, golden_texts, make_plan
+from export_fixtures import GOLDEN, SECOND_ARM, golden_texts, make_plan
 from scipy.interpolate import BPoly
-from solved import small_plan
+from solved import BED, small_plan, write_small
 
 from planner.base.errors import InputError
+from planner.cell.cell import build_cell
+from planner.export.external import held_axes
 from planner.export.joint_trajectory import (
     differences,
     joint_trajectory,
@@ -22,6 +25,7 @@ from planner.export.joint_trajectory import (
     switches,
 )
 from planner.plan import Plan
+from planner.problem import load_problem
 
 MESSAGE, EXTRUDER = "two_beads_joint_trajectory.json", "two_beads_extruder.json"
 PLANS: dict[str, Callable[[], Plan]] = {
@@ -196,6 +200,22 @@ def test_a_message_that_says_something_else_is_found(change: Callable[[Any], obj
 )
 def test_switching_that_says_something_else_is_found(change: Callable[[Any], object], named: str) -> None:
     assert any(named in difference for difference in spoilt(change, EXTRUDER))
+
+
+def test_held_axes_have_names_that_no_other_joint_has() -> None:
+    plan = make_plan(free=SECOND_ARM["free"])
+    held = json.loads(switches(plan))["held"]
+    assert list(held) == [f"positioner_joint_{k}" for k in range(1, 6)]
+    assert held["positioner_joint_2"] == pytest.approx(np.radians(60))
+    assert not set(held) & set(plan.cell.joint_names)
+    assert differences(plan, files(plan)) == []
+
+
+def test_held_axes_of_what_carries_the_arm_are_told(tmp_path: Path) -> None:
+    base = "  base_mm: [20, -30, 40]\n"
+    carried = f"{base}  base: {{robot: gantry_xy, free: [gantry_x], held_mm: {{gantry_y: 250}}}}\n"
+    cell = build_cell(load_problem(write_small(tmp_path, *BED, (base, carried))))
+    assert [(axis.name, axis.held, axis.slides) for axis in held_axes(cell)] == [("gantry_y", 0.25, True)]
 
 
 @pytest.mark.parametrize(

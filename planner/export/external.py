@@ -10,7 +10,10 @@ import numpy as np
 from planner.base.arrays import Array
 
 if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
     from planner.cell.cell import Cell
+    from planner.cell.robot import Robot
     from planner.export.program import Setup
 
 
@@ -48,6 +51,21 @@ def external_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
 def task_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
     """External axes of the task that moves the nozzle: a second arm's joints are moved by a task of its own."""
     return carrying_axes(cell) if cell.second_arm is not None else external_axes(cell)
+
+
+def held_axes(cell: Cell) -> tuple[ExternalAxis, ...]:
+    """All axes that are held, of what carries the arm and of what holds the part, by names that no other joint has."""
+    carrier, robot = cell.carrier, cell.holder_robot
+    below = () if carrier is None else _held(carrier.robot, carrier.held, "base", cell.joint_names)
+    taken = (*cell.arm.names, *(axis.name for axis in below))
+    return (*below, *(() if robot is None else _held(robot, cell.held, "positioner", taken)))
+
+
+def _held(robot: Robot, held: Mapping[str, float], prefix: str, taken: Collection[str]) -> tuple[ExternalAxis, ...]:
+    slides = dict(zip(robot.joint_names, robot.slides, strict=True))
+    return tuple(
+        ExternalAxis(f"{prefix}_{name}" if name in taken else name, at, slides[name]) for name, at in held.items()
+    )
 
 
 def moving_unit(setup: Setup) -> str:

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
+from planner.export.external import held_axes
 from planner.export.fit import by_samples, thin, to_matrix
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, fed_spans
 from planner.export.support import by_bead, output_numbers
@@ -220,7 +221,12 @@ def switches(plan: Plan) -> str:
         _line({"time_from_start": _duration(each.time), "output": each.output, "value": each.value, "bead": each.bead})
         for each in planned_switches(plan)
     ]
-    return f'{{"held":{_line(plan.cell.held)},\n"events":[\n' + ",\n".join(lines) + "\n]}\n"
+    return f'{{"held":{_line(_held(plan))},\n"events":[\n' + ",\n".join(lines) + "\n]}\n"
+
+
+def _held(plan: Plan) -> dict[str, float | None]:
+    """Where each axis is held [rad, m]."""
+    return {axis.name: axis.held for axis in held_axes(plan.cell)}
 
 
 def _line(value: object) -> str:
@@ -286,12 +292,12 @@ def read_joint_trajectory(text: str) -> JointTrajectory:
 
 
 def read_switches(text: str) -> tuple[tuple[Switch, ...], dict[str, float]]:
-    """Switching of the extruders, and the axes that are held [rad]. Raises InputError for whatever is not known."""
+    """Switching of the extruders, and the axes that are held [rad, m]. Raises InputError for whatever is not known."""
     reader = _Reader("extruder")
     data = reader.fields(reader.load(text), "the file", ("held", "events"))
     if not isinstance(data["held"], dict):
-        raise reader.error("held", "must be angles by name")
-    angles = reader.numbers(list(data["held"].values()), "held", len(data["held"]))
+        raise reader.error("held", "must be numbers by name")
+    places = reader.numbers(list(data["held"].values()), "held", len(data["held"]))
     found = []
     for i, item in enumerate(reader.items(data["events"], "events")):
         event = reader.fields(item, f"events.{i}", SWITCH)
@@ -299,7 +305,7 @@ def read_switches(text: str) -> tuple[tuple[Switch, ...], dict[str, float]]:
         if not isinstance(output, str) or not isinstance(value, bool) or type(bead) is not int:
             raise reader.error(f"events.{i}", "output is a text, value true or false, bead a whole number")
         found.append(Switch(reader.duration(event["time_from_start"], f"events.{i}"), output, value, bead))
-    return tuple(found), dict(zip(data["held"], angles, strict=True))
+    return tuple(found), dict(zip(data["held"], places, strict=True))
 
 
 class _Reader:
@@ -428,6 +434,6 @@ def _switching(plan: Plan, found: tuple[Switch, ...], held: Mapping[str, float])
             differences.append(f"output {other.output} of bead {other.bead} is not switched as planned")
         elif abs(one.time - other.time) > ON_TIME:
             differences.append(f"output {other.output} of bead {other.bead} is switched at {one.time:.6f} s")
-    if dict(held) != plan.cell.held:
-        differences.append("other axes are held, or at other angles")
+    if dict(held) != _held(plan):
+        differences.append("other axes are held, or elsewhere")
     return differences

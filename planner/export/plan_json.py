@@ -324,8 +324,8 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
 
     A prismatic joint slides along its direction: its values are metres.
 
-    All axes of what holds the part are named in its own order, with the angle of those that are held [rad]; so are those
-    of what carries the arm [rad, m], if anything does.
+    All axes of what holds the part are named as its own robot has them and in that order, with where those stand that
+    are held [rad, m]; so are those of what carries the arm, if anything does.
 
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
