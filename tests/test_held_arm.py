@@ -10,7 +10,9 @@ from solved import solve_alone
 
 from planner.cell.cell import build_cell
 from planner.export.languages import LANGUAGES
+from planner.export.program import held_by
 from planner.export.rapid.reader import read_rapid
+from planner.export.text import LONGEST_COMMENT
 from planner.plan import Plan
 from planner.problem import load_problem
 
@@ -50,6 +52,26 @@ def test_the_program_moves_one_arm(name: str, language: str, changes: tuple[str,
     # the other arm's bodies are judged
     (apart,) = (check for check in plan.checks if check.name == "robots clear of each other and of fixtures")
     assert apart.ok and apart.worst < 50.0
+
+
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+
+
+@pytest.mark.parametrize(
+    ("robot", "names"),
+    [
+        ("ur10e", tuple(f"{name}_joint" for name in UR_JOINTS)),
+        ("irb1200_09", tuple(f"joint_{k}" for k in range(1, 7))),
+    ],
+)
+def test_the_header_says_where_every_joint_of_the_other_arm_stands(robot: str, names: tuple[str, ...]) -> None:
+    angles = dict(zip(names, (-101.125, -92.25, 50.375, -104.5, -105.625, -106.75), strict=True))
+    held = ", ".join(f"{name}: {angle}" for name, angle in angles.items())
+    arm = f"{{robot: {robot}, base_mm: [1500, 0, 0], free: [], held_deg: {{{held}}}}}"
+    lines = held_by(build_cell(load_problem("fibre_plane", (f"cell.positioner={arm}",))))
+    assert max(map(len, lines)) <= LONGEST_COMMENT
+    for name, angle in angles.items():
+        assert any(f"{name} {angle:g}" in line for line in lines), name
 
 
 @pytest.mark.slow

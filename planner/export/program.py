@@ -81,8 +81,11 @@ def held_by(cell: Cell) -> list[str]:
     robot = cell.holder_robot
     if robot is None or cell.station is not None:
         return []
-    joints = ", ".join(f"{name} {np.degrees(cell.held[name]):g}" for name in robot.joint_names)
-    return [f"A second arm, {robot.name}, holds the part and is not moved. It stands at [deg]", f"  {joints}"]
+    title = f"A second arm, {robot.name}, holds the part and is not moved. It stands at [deg]"
+    # no line ends between a name and its value
+    joints = ", ".join(f"{name}\xa0{np.degrees(cell.held[name]):g}" for name in robot.joint_names)
+    lines = textwrap.wrap(joints, LONGEST_COMMENT - 2, break_on_hyphens=False)
+    return [*textwrap.wrap(title, LONGEST_COMMENT), *("  " + line.replace("\xa0", " ") for line in lines)]
 
 
 def verified(plan: Plan) -> list[str]:

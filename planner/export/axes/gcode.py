@@ -21,7 +21,7 @@ from planner.export.extruder import Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, nearest_fraction
-from planner.export.program import made_with, resumed, verified
+from planner.export.program import held_by, made_with, resumed, verified
 from planner.export.speeds import TIME_TOLERANCE
 from planner.export.support import STATION
 from planner.export.text import ascii_comment, beyond, number
@@ -160,6 +160,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
         frame = "on the turning part" if cell.station is not None else "in the part frame"
         texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
+        texts += held_by(cell)
     return [ascii_comment(";", text, longest=150) for text in texts]
 
 
