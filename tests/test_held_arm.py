@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from export_fixtures import make_plan
+from scipy.spatial import cKDTree
 from solved import solve_alone
 
 from planner.cell.cell import build_cell
 from planner.export.languages import LANGUAGES
+from planner.export.player.play import play
 from planner.export.program import held_by
 from planner.export.rapid.reader import read_rapid
 from planner.export.text import LONGEST_COMMENT
 from planner.plan import Plan
 from planner.problem import load_problem
+from planner.problem.settings import MachineSpec
+from planner.verify.verdict import verify
 
 HELD = ("cell.positioner.free=[]", "strategy=ladder")
 # as the paper's bowl stands in the cell, the arm cannot reach around it: turned by a quarter it can
@@ -93,13 +100,36 @@ def test_an_arm_that_moves_is_a_station_and_so_is_a_table_that_is_held() -> None
         assert cell.station is cell.holder_robot is not None
 
 
+@pytest.mark.parametrize("name", ["urscript", "fanuc", "inform", "val3", "kawasaki", "melfa"])
+def test_a_table_that_is_held_is_no_axis_of_a_controller_without_external_ones(name: str) -> None:
+    language, arm = LANGUAGES[name], "ur5e" if name == "urscript" else "kr6_r900"
+    plan = make_plan(free=(), arm=arm)
+    assert plan.cell.station is not None
+    assert language.unsupported(plan) is None
+    files = language.write(plan)
+    assert language.differences(plan, files) == []
+    text = "".join(files.values())
+    assert "A positioner" in text and "IRBP" in text and "tilt 0" in text
+    own = language.plan(plan)
+    program = language.program(plan, files)
+    assert program.station == "" and own.cell.station is None
+    played = play(program, own.cell)
+    tip = played.at(np.linspace(0.0, played.duration, 4000)).position
+    assert cKDTree(tip).query(plan.tip)[0].max() < 1e-3
+
+
+def test_a_table_that_is_held_turns_no_part_for_a_robot_with_gcode() -> None:
+    plan = make_plan(free=(), arm="kr6_r900")
+    program = plan.problem.program.model_copy(update={"machine": MachineSpec(flavour="linuxcnc", type="robot")})
+    plan = replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"program": program}))  # type: ignore[arg-type]
+    (text,) = LANGUAGES["axes"].write(plan).values()
+    assert "pose in the part frame" in text and "turning part" not in text
+    assert "A positioner, ABB IRBP A250" in text and "tilt 0, rotation 0" in text
+
+
 @pytest.mark.slow
 def test_an_arm_in_the_way_is_found() -> None:
     """The same motion, with the other arm standing where it would be hit."""
-    from dataclasses import replace
-
-    from planner.verify.verdict import verify
-
     plan = held("fibre_plane")
     near = plan.cell.T_world_holder_base.copy()
     near[0, 3] -= 0.75

@@ -79,6 +79,7 @@ class Cell:
     carrier    what carries the arm, if anything does: in `arm_robot` it is one with the arm
     nozzles    all of them, where there are several; the cell is that of one of them, see `at`
     nozzle_of  which of them (index) lays each material, by name; in_use: whose cell this is
+    moving_only  the controller has no external axes that stand: what holds the part is no station where all are held
     """
 
     arm: Chain
@@ -101,6 +102,7 @@ class Cell:
     nozzles: tuple[FlangeNozzle, ...] = ()
     nozzle_of: Mapping[str, int] = field(default_factory=dict)
     in_use: int = 0
+    moving_only: bool = False
 
     def at(self, material: str) -> Cell:
         """The cell with the nozzle in use that lays a material: itself, where one lays all."""
@@ -162,9 +164,12 @@ class Cell:
 
     @property
     def station(self) -> Robot | None:
-        """What programs count as external axes that hold the part: a second arm is none where all of its joints are held."""
+        """What programs count as external axes that hold the part: a second arm is none where all of its joints are held,
+        and a positioner is none then with `moving_only`."""
         robot = self.holder_robot
-        return None if robot is not None and robot.inverse is not None and not len(self.holder) else robot
+        if robot is None or len(self.holder):
+            return robot
+        return None if self.moving_only or robot.inverse is not None else robot
 
     @property
     def second_arm(self) -> Robot | None:

@@ -49,16 +49,19 @@ class Language:
                  together take half a second
     unsupported  why a program of this cell cannot be written in it; None if it can
     counted      it tells postures as controllers of industrial arms count joints, whatever the arm's URDF does
+    moving_only  its programs have no axes that stand: what holds the part is no station where all of its axes are held
     """
 
     title: str
     module: str
     unsupported: Callable[[Setup], str | None]
     counted: bool = False
+    moving_only: bool = False
 
     def plan(self, plan: Plan) -> Plan:
         """The plan with the motion that programs ask for, and the joints that those in this language speak of."""
         plan = plan if plan.asked is None else replace(plan, trajectory=plan.asked, asked=None)
+        plan = plan.moving_only if self.moving_only else plan
         return plan.as_counted if self.counted else plan
 
     def write(self, plan: Plan) -> dict[str, str]:
@@ -96,15 +99,15 @@ def _always(setup: Setup) -> None:
 
 LANGUAGES: dict[str, Language] = {
     "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid, counted=True),
-    "urscript": Language("URScript", "urscript", unsupported_in_urscript),
+    "urscript": Language("URScript", "urscript", unsupported_in_urscript, moving_only=True),
     "krl": Language("KRL", "krl", unsupported_in_krl, counted=True),
-    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc, counted=True),
-    "inform": Language("INFORM", "inform", unsupported_in_inform, counted=True),
-    "val3": Language("VAL3", "val3", unsupported_in_val3, counted=True),
-    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki, counted=True),
-    "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa, counted=True),
+    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc, counted=True, moving_only=True),
+    "inform": Language("INFORM", "inform", unsupported_in_inform, counted=True, moving_only=True),
+    "val3": Language("VAL3", "val3", unsupported_in_val3, counted=True, moving_only=True),
+    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki, counted=True, moving_only=True),
+    "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa, counted=True, moving_only=True),
     "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", unsupported_in_joint_trajectory),
-    "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes),
+    "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes, moving_only=True),
     "extruder": Language("the extruder's G-code", "extruder", _always),
 }
 ALWAYS = ("extruder",)  # written beside whatever moves the arm, so not asked for

@@ -77,13 +77,18 @@ def resumed(plan: Plan) -> list[str]:
 
 
 def held_by(cell: Cell) -> list[str]:
-    """Lines that say where a second arm has to stand that holds the part and is not moved; none for other cells."""
+    """Lines that say where all axes stand of what holds the part, where the controller moves none; none for other cells."""
     robot = cell.holder_robot
     if robot is None or cell.station is not None:
         return []
-    title = f"A second arm, {robot.name}, holds the part and is not moved. It stands at [deg]"
+    kind, units = "positioner" if robot.inverse is None else "second arm", "deg, mm" if any(robot.slides) else "deg"
+    title = f"A {kind}, {robot.name}, holds the part and is not moved. It stands at [{units}]"
+    places = [
+        cell.held[name] * 1e3 if slides else np.degrees(cell.held[name])
+        for name, slides in zip(robot.joint_names, robot.slides, strict=True)
+    ]
     # no line ends between a name and its value
-    joints = ", ".join(f"{name}\xa0{np.degrees(cell.held[name]):g}" for name in robot.joint_names)
+    joints = ", ".join(f"{name}\xa0{place:g}" for name, place in zip(robot.joint_names, places, strict=True))
     lines = textwrap.wrap(joints, LONGEST_COMMENT - 2, break_on_hyphens=False)
     return [*textwrap.wrap(title, LONGEST_COMMENT), *("  " + line.replace("\xa0", " ") for line in lines)]
 

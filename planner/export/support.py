@@ -135,7 +135,7 @@ def unsupported_in_urscript(setup: Setup) -> str | None:
         return f"{arm.name} is no arm of Universal Robots, by the language in its file"
     if setup.cell.rails:
         return f"it moves the arm alone, and here {setup.cell.joint_names[0]} carries it"
-    if holder is not None:
+    if holder is not None and len(setup.cell.holder):
         return f"it moves the arm alone, and here {holder.name} moves the part"
     last = max(output_numbers(setup.problem).values())
     if last >= STANDARD_OUTPUTS:
@@ -180,7 +180,7 @@ def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
         return f"postures are told by those of a spherical wrist, which {cell.arm_robot.name} has not"
     if cell.rails:
         return f"it moves the arm alone, and here {cell.joint_names[0]} carries it"
-    if cell.station is not None:
+    if cell.station is not None and len(cell.holder):
         return f"it moves the arm alone, and here {cell.station.name} moves the part"
     numbers = output_numbers(setup.problem).values()
     if min(numbers) < first:

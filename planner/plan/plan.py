@@ -393,6 +393,15 @@ class Plan:
         return replace(self, cell=cell, trajectory=replace(self.trajectory, q=self.cell.counted(self.trajectory.q)))
 
     @property
+    def moving_only(self) -> Plan:
+        """The same plan for a controller that has no external axes which stand: see `Cell.station`."""
+        return self if self.cell.station is None or len(self.cell.holder) else self._moving_only
+
+    @cached_property
+    def _moving_only(self) -> Plan:
+        return replace(self, cell=replace(self.cell, moving_only=True))
+
+    @property
     def t(self) -> Array:
         """Time (n) of the samples, from 0 [s]."""
         return self.trajectory.t

@@ -158,7 +158,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
         texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
-        frame = "on the turning part" if cell.station is not None else "in the part frame"
+        frame = "on the turning part" if len(cell.holder) else "in the part frame"
         texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
         texts += held_by(cell)
     return [ascii_comment(";", text, longest=150) for text in texts]
