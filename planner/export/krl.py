@@ -11,10 +11,10 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
-from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, percent
+from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM, ROUNDED_TURN, percent
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
-from planner.export.fit import from_matrix, to_matrix
+from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
@@ -424,6 +424,7 @@ class KrlProgram:
               is NaN, for it has no distance
     axes      (m, 6) A1 to A6 of PTP targets [rad]; NaN for others
     turn      (m) Turn of LIN targets; UNSPECIFIED for others
+    middle    (m, 10) quaternion x y z w and external axes [rad] of points on the way of arcs; NaN for others
     share     (m) speed of the axes [percent]
     settings  system variables and what they are set to
     off       outputs that are switched off before the first move, and behind the last one
@@ -432,6 +433,7 @@ class KrlProgram:
     program: RobotProgram
     axes: Array
     turn: Indices
+    middle: Array
     share: Indices
     settings: dict[str, str]
     off: tuple[frozenset[str], ...]
@@ -525,7 +527,7 @@ class _KrlRun:
         self.start = start
         self.points: list[list[float]] = []  # twelve axes of each move; NaN for a line's first six
         self.lines: list[tuple[str, ...]] = []
-        self.vias: list[list[float]] = []  # of each move [m]; NaN where it is no arc
+        self.vias: list[list[float]] = []  # of each move X to C [mm, deg] and six axes [rad]; NaN where it is no arc
         self.linear: list[bool] = []
         self.fly: list[bool] = []
         self.paces: list[tuple[float, float, int]] = []  # speed, radius, percent
@@ -560,16 +562,17 @@ class _KrlRun:
         elif word == "trigger":
             self.waiting += (Trigger(0.0, first == "DISTANCE", parts[2] == "TRUE", parts[1]),)
         elif word in ("line", "arc"):
-            via, parts = (parts[:3], parts[7:]) if word == "arc" else (("nan",) * 3, parts)
+            via, parts = (parts[:7], parts[7:]) if word == "arc" else ((*["nan"] * 6, ""), parts)
             if not (self.speed > 0.0 and (self.radius > 0.0 or not parts[9])):
                 raise statement.error("a line without a speed, or approximated without a distance")
             external = _posture((*["0"] * 6, parts[8]), statement)[6:]
-            self.vias.append([1e-3 * float(value) for value in via])
+            beside = _posture((*["0"] * 6, via[6]), statement)[6:]
+            self.vias.append([*map(float, via[:6]), *beside])
             self._move(parts, [np.nan] * 6 + external, bool(parts[9]))
         elif word in ("start", "point"):
             if self.waiting:
                 raise statement.error("a trigger belongs to a line")
-            self.vias.append([np.nan] * 3)
+            self.vias.append([np.nan] * 12)
             self._move((), _posture(parts, statement) if parts else self.start, bool(parts) and bool(parts[7]))
 
     def _bounded(self, statement: Statement) -> None:
@@ -604,7 +607,8 @@ class _KrlRun:
             if at not in (-1, m - 1):
                 raise statement.error("an output is switched beside the path")
         linear, stops = np.array(self.linear), ~np.array(self.fly)
-        axes, paces = np.array(self.points), np.array(self.paces)
+        axes, paces, vias = np.array(self.points), np.array(self.paces), np.array(self.vias)
+        middle = np.column_stack([quaternions(np.radians(vias[:, 3:6])), vias[:, 6:]])
         pose, conf, turn = (
             np.empty((m, 7)),
             np.full((m, 4), UNSPECIFIED, dtype=np.intp),
@@ -636,10 +640,10 @@ class _KrlRun:
             speed=np.column_stack([paces[:, 0], np.full((m, 3), np.nan)]),
             wait=np.array([self.waits.get(i, 0.0) for i in range(m)]),
             triggers=self.triggers,
-            arcs=None if np.isnan(self.vias).all() else np.array(self.vias),
+            arcs=None if np.isnan(vias[:, 0]).all() else 1e-3 * vias[:, :3],
         )
         off = tuple(frozenset(each.parts[0] for at, each in self.off if at == k) for k in (-1, m - 1))
-        return KrlProgram(program, axes[:, :6], turn, paces[:, 2].astype(np.intp), self.settings, off)
+        return KrlProgram(program, axes[:, :6], turn, middle, paces[:, 2].astype(np.intp), self.settings, off)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -690,6 +694,13 @@ def _moves(plan: Plan, moves: Moves, source: KrlProgram) -> list[str]:
     wrong = np.count_nonzero(source.turn[linear] != turn(q[linear]))
     if wrong:
         found.append(f"Turn differs at {wrong} targets")
+    said, beside = source.middle[circular], np.radians(external_written(plan.cell, moves.via.station[moves.circular]))
+    wrong = np.count_nonzero(~(angle(said[:, :4], moves.via.quat[moves.circular]) <= ROUNDED_TURN))
+    if wrong:
+        found.append(f"{wrong} points on the way of arcs have another orientation")
+    k = 4 + beside.shape[1]
+    if not (np.abs(said[:, 4:k] - beside).max(initial=0.0) <= ROUNDING and np.isnan(said[:, k:]).all()):
+        found.append("external axes on the way of arcs are not the planned ones")
     shares = np.array(percent(plan, moves))
     if not np.array_equal(source.share[~linear], np.concatenate([shares[:1], shares[~moves.linear]])):
         found.append("speeds of axes are not the planned ones")
