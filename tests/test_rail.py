@@ -411,6 +411,19 @@ def test_programs_say_where_the_rail_is(plan: Plan, language: str) -> None:
     assert any(said in words for words in chosen.differences(plan, files | {name: away}))
 
 
+@pytest.mark.slow
+def test_headers_say_where_the_arm_stands_on_its_rail(plan: Plan) -> None:
+    """URDF of the track: the arm's base is 300 mm above its own."""
+    T = plan.cell.T_world_base.copy()
+    T[2, 3] += 0.3
+    np.testing.assert_allclose(plan.cell.T_world_foot, T, atol=1e-12)
+    for language, told in (("rapid", "! The robot's base on it"), ("krl", "; $ROBROOT on it")):
+        lines = "".join(LANGUAGES[language].write(plan).values()).split("\n")
+        (at,) = (i for i, line in enumerate(lines) if line.strip().startswith(told))
+        place = [float(value) for value in re.findall(r"-?\d+\.\d+", lines[at + 1])[:3]]
+        np.testing.assert_allclose(place, T[:3, 3] * 1e3, atol=1e-3)
+
+
 @pytest.mark.parametrize("language", ("urscript", "axes"))
 def test_languages_without_a_rail_say_so(language: str, tmp_path: Path) -> None:
     machine = "program: {machine: {flavour: linuxcnc, type: robot}}\nstrategy: sqp"

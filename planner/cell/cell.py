@@ -158,6 +158,14 @@ class Cell:
         return len(self.inverse.rail) if isinstance(self.inverse, OnRail) else 0
 
     @property
+    def T_world_foot(self) -> Array:
+        """Where the arm's own base stands (4, 4), with the joints at 0 that carry it and may move."""
+        if not isinstance(self.inverse, OnRail):
+            return self.T_world_base
+        T: Array = self.T_world_base @ self.inverse.rail.poses(np.zeros((1, self.rails)))[0]
+        return T
+
+    @property
     def own(self) -> slice:
         """The arm's own joints, without what carries it."""
         return slice(self.rails, len(self.arm))

@@ -274,6 +274,7 @@ def _header(plan: Plan) -> list[str]:
     if before := named[: len(carrying_axes(cell))]:
         texts[-1] = "What carries the robot must be coupled to it in the machine data (ERSYSROOT), its root in $WORLD"
         texts += [f"  {frame(cell.T_world_base)}", f"Its external axes: {', '.join(before)}"]
+        texts += ["$ROBROOT on it, with the axes that move at 0, must be in $WORLD", f"  {frame(cell.T_world_foot)}"]
     if cell.station is not None:
         texts += [
             f"External axes of {STATION}, {cell.station.name}: {', '.join(named[len(before) :])}",

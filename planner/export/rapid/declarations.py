@@ -77,6 +77,8 @@ def frames(plan: Plan) -> list[str]:
             comment("a mechanical unit that carries the robot and is active:"),
             comment("  " + pose_text(cell.T_world_base)),
             comment(f"Its axes: {', '.join(before)}."),
+            comment("The robot's base on it, with the axes that move at 0:"),
+            comment("  " + pose_text(cell.T_world_foot)),
         ]
     unit = moving_unit(plan)
     if not unit:
