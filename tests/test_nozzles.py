@@ -29,6 +29,7 @@ from planner.plan import TRAVEL, Plan, Trajectory
 from planner.plan.plan import by_nozzle
 from planner.problem import Problem, load_problem
 from planner.report.scene import plan_scene
+from planner.report.wording import resumed_words
 from planner.resolve.by_nozzle import nozzles_of
 from planner.resolve.ladder import ladder
 from planner.resolve.roll_map import roll_maps
@@ -268,6 +269,15 @@ def test_a_program_changes_its_tool_at_home() -> None:
         assert "MoveAbsJ" in lines[2] and f"{tool}\\WObj" in lines[2]
         assert "MoveJ" in lines[3] and f"fine,{tool}\\WObj" in lines[3]
         assert lines[-1].strip() == "WaitTime 2.000;"
+
+
+@pytest.mark.slow
+def test_nozzles_that_are_exchanged_are_named_before_the_print_begins() -> None:
+    plan = two_nozzles("one")
+    assert "! Begins with tPla, which has to be on the flange." in RAPID.write(plan)["Small.mod"]
+    _, later, _ = plan.stretches
+    assert resumed_words(later) == "resumed at bead 1 of 3, bead 0 taken to be there, tPva on the flange"
+    assert "Begins with" not in rapid_files()["Small.mod"]
 
 
 def test_what_was_changed_in_a_program_is_found() -> None:

@@ -355,6 +355,12 @@ class Plan:
         return self.toolpath.beads[self.first_bead :]
 
     @property
+    def begins_with(self) -> str:
+        """Name of the nozzle that has to be on the flange at the start, where one of several is; empty for all others."""
+        one = self.problem.cell.mounted == "one"
+        return self.cell.at(self.beads[0].material).nozzle_name if one else ""
+
+    @property
     def commanded(self) -> Array:
         """Speed (k) [m/s] at which each bead of the toolpath is to be laid."""
         return np.array([bead.commanded(self.problem.process.speed) for bead in self.toolpath.beads])

@@ -224,10 +224,11 @@ def counted(count: float, one: str) -> str:
 
 
 def resumed_words(plan: Plan) -> str:
-    """What a plan of a resumed print leaves out."""
+    """What a plan of a resumed print leaves out, and which nozzle it goes on with, where they are exchanged."""
     last = plan.first_bead - 1
     before = "bead 0" if last == 0 else f"beads 0 to {last}"
-    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there"
+    nozzle = f", {plan.begins_with} on the flange" if plan.begins_with else ""
+    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there{nozzle}"
 
 
 def significant(value: float, digits: int = 4) -> str:

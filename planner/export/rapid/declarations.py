@@ -46,10 +46,12 @@ TOOL_LOAD = "[1,[0,0,50],[1,0,0,0],0,0,0]"
 
 
 def header(plan: Plan) -> list[str]:
-    """Comments at the head of the main module: the plan, its checks and its materials."""
+    """Comments at the head of the main module: the plan, its checks, its materials and the nozzle to begin with."""
     texts = about(plan)
     for each in materials_of(plan.problem):
         texts.append(f"Material {each.name}: tool T{each.tool} of the extruder's board, output {each.signal}")
+    if plan.begins_with:
+        texts.append(f"Begins with {plan.begins_with}, which has to be on the flange.")
     return [comment(text) for text in texts]
 
 
