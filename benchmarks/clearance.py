@@ -205,7 +205,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     table = Table("print", "samples", "pressed mm", "by coal", "beyond the tip mm", "beads by coal", "nearest")
     for name, *changes in [(each,) for each in args.problems] or PRINTS:
         try:
-            table.add_row(*row(solve(load_problem(name, [*changes, *args.set]))))
+            problem = load_problem(name, [*changes, *args.set])
+            if problem.cell.nozzles:
+                raise problem.error("cell.nozzles", "the distances are those of one nozzle", "a print with cell.nozzle")
+            table.add_row(*row(solve(problem)))
         except PlannerError as error:
             print(f"{name}: {error}", file=sys.stderr)
             return 2

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import optimiser, strategies
+from benchmarks import clearance, optimiser, strategies
 from benchmarks.peer_cases import write_case
 from planner.problem import load_problem
 
@@ -82,6 +82,11 @@ def test_a_command_runs(name: str, capsys: pytest.CaptureFixture[str], monkeypat
     monkeypatch.setattr(futures, "ThreadPoolExecutor", futures.ThreadPoolExecutor)  # which the profile replaces
     assert main_of(name)(SMALLEST[name]) == 0
     assert capsys.readouterr().out.strip()
+
+
+def test_distances_are_measured_of_one_nozzle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert clearance.main(["naca0015_wing"]) == 2
+    assert "the distances are those of one nozzle" in capsys.readouterr().err
 
 
 @pytest.mark.slow
