@@ -27,7 +27,7 @@ from planner.export.inform import YASKAWA
 from planner.export.kawasaki import KAWASAKI
 from planner.export.languages import LANGUAGES
 from planner.export.melfa import MITSUBISHI
-from planner.export.moves import MoveSection, plan_moves
+from planner.export.moves import MoveSection, plan_moves, sections
 from planner.export.parts import cut, in_files, numbered, packed
 from planner.export.speeds import stepped_speeds
 from planner.export.val3 import STAUBLI
@@ -600,6 +600,16 @@ def test_packing_keeps_order_and_bounds(sizes: list[int], most: int, count: int)
     for group in groups:
         assert 0 < len(group) <= count
         assert len(group) == 1 or sum(sizes[item] for item in group) <= most
+
+
+def test_a_section_has_the_number_of_its_bead() -> None:
+    """Two beads without travel between are one section, and the next one keeps its number."""
+    bead = np.array([-1, 0, 0, 1, 1, -1, 2, 2, -1])
+    t = SimpleNamespace(bead=bead, deposit=bead >= 0, s=np.zeros(9), layer=np.zeros(9, dtype=int), events=())
+    beads = tuple(SimpleNamespace(material="") for _ in range(3))
+    plan: Any = SimpleNamespace(trajectory=t, toolpath=SimpleNamespace(beads=beads), first_bead=0)
+    moves: Any = SimpleNamespace(after=np.array([0, 0, 0, 1, 1, 2]))
+    assert [section.number for section in sections(plan, moves)] == [1, 3, 0]
 
 
 @given(st.lists(st.integers(1, 50), min_size=1, max_size=20), st.integers(1, 30))

@@ -343,7 +343,7 @@ def sections(plan: Plan, moves: Moves) -> Iterator[MoveSection]:
             bead = int(t.bead[first[k]])
             of = plan.toolpath.beads[bead].material
             length = f"{1e3 * (t.s[last[k]] - t.s[first[k]]):.1f} mm" + (f" of {of}" if of else "")
-            yield MoveSection(plan.first_bead + k + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
+            yield MoveSection(bead + 1, own, f"Bead {bead}, layer {t.layer[first[k]]}: {length}")
 
 
 @kept
