@@ -312,7 +312,16 @@ def test_readers_made_for_one_nozzle_refuse_such_a_program() -> None:
         RAPID.program(two_nozzles(), rapid_files())
 
 
-@pytest.mark.parametrize("name", sorted(set(LANGUAGES) - {"rapid", "extruder"}))
+def test_a_joint_trajectory_needs_no_tool() -> None:
+    plan, language = two_nozzles(), LANGUAGES["joint_trajectory"]
+    assert language.unsupported(plan) is None
+    files = language.write(plan)
+    assert language.differences(plan, files) == []
+    one = replace(plan, cell=replace(plan.cell, nozzles=()))  # all of it by the first nozzle's tip
+    assert any("path differs" in each for each in language.differences(one, files))
+
+
+@pytest.mark.parametrize("name", sorted(set(LANGUAGES) - {"rapid", "extruder", "joint_trajectory"}))
 def test_languages_written_for_one_nozzle_say_so(name: str) -> None:
     reason = LANGUAGES[name].unsupported(two_nozzles())
     assert reason is not None

@@ -17,6 +17,7 @@ from planner.export.fit import by_samples, thin, to_matrix
 from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, fed_spans
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond, require_writable
+from planner.plan.plan import by_nozzle
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,10 +87,9 @@ def derived(plan: Plan) -> SplineKnots:
 
 def plan_knots(plan: Plan) -> SplineKnots:
     """The points of a plan: as few of its samples as repeat all others within its tolerances."""
-    dense = derived(plan)
+    dense, nozzle = derived(plan), Nozzle(plan)
     last = len(dense) - 1
-    kept = np.unique(np.append(np.arange(0, last, FARTHEST), last))
-    nozzle = Nozzle(plan)
+    kept = np.unique([*range(0, last, FARTHEST), *nozzle.begins, last])
 
     def misfit(a: Indices, b: Indices, k: Indices) -> Array:
         q, velocity, acceleration = quintic(dense.chosen(a), dense.chosen(b), dense.time[k])
@@ -109,11 +109,20 @@ class Nozzle:
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
+        self._in_use = by_nozzle(plan.cell, plan.trajectory.events, plan.trajectory.t)
         self._rotation = to_matrix(plan.trajectory.quat / np.linalg.norm(plan.trajectory.quat, axis=1, keepdims=True))
+
+    @property
+    def begins(self) -> tuple[int, ...]:
+        """Samples from which on one of several nozzles is in use."""
+        return tuple(rows.start for _, rows in self._in_use)
 
     def misses(self, q: Array, k: Indices) -> tuple[Array, Array]:
         """Distance [m] of the tip and angle [rad], each (m), of postures q (m, nj) from samples k (m)."""
-        T = self._plan.cell.T_part_nozzle(q)
+        T = np.empty((len(k), 4, 4))
+        for cell, rows in self._in_use:
+            own = (k >= rows.start) & (k < rows.stop)
+            T[own] = cell.T_part_nozzle(q[own])
         off = np.linalg.norm(T[:, :3, 3] - self._plan.trajectory.tip[k], axis=1)
         # the chord between two rotations, in Frobenius' norm, is sqrt(8) sin(angle / 2)
         chord = np.linalg.norm(T[:, :3, :3] - self._rotation[k], axis=(1, 2))

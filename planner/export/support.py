@@ -57,8 +57,6 @@ def by_bead(plan: Plan, outputs: Sequence[Output]) -> list[Output]:
 
 def unsupported_in_joint_trajectory(setup: Setup) -> str | None:
     """Why a message of samples does not support a problem; None if it does."""
-    if several := _one_nozzle(setup):
-        return several
     if setup.problem.as_run is not None:
         return "as_run displaces targets between which a controller plans by itself; it cannot follow such samples"
     return None
