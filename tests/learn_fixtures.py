@@ -58,7 +58,7 @@ def with_corrections(plan: Plan, corrections: Corrections, folder: Path, most: f
     lessons = Lessons(corrections, np.zeros((k, 3)), np.zeros((k, 3)), np.ones(k))
     n = len(plan.trajectory)
     nothing = RunErrors(np.zeros((n, 3)), np.zeros(n, dtype=bool), np.full(n, np.nan), 0.0)
-    write_lessons(lessons, plan.trajectory, nothing, folder / "corrections.csv")
+    write_lessons(lessons, plan, nothing, folder / "corrections.csv")
     spec = AsRunSpec.model_construct(corrections=folder / "corrections.csv", most=most)
     problem = plan.problem.model_copy(update={"as_run": spec})
     return with_asked(replace(plan, problem=problem), Stages())

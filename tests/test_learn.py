@@ -206,6 +206,15 @@ def test_a_file_that_holds_no_corrections_is_refused_by_line(plan: Plan, tmp_pat
     assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
 
 
+def test_corrections_of_beads_that_have_changed_their_places_are_refused(plan: Plan, tmp_path: Path) -> None:
+    own = Corrections(np.array([0, 0, 1]), np.array([0.0, 2e-3, 1e-3]), np.full((3, 3), 1e-4))
+    with_corrections(plan, own, tmp_path)
+    path, (first, second, *others) = tmp_path / "corrections.csv", plan.toolpath.beads
+    assert len(read_corrections(path, plan.toolpath, WRONG).s) == 3
+    with pytest.raises(InputError, match=r"line 2: beside its bead"):
+        read_corrections(path, replace(plan.toolpath, beads=(second, first, *others)), WRONG)
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_file_of_no_rows_displaces_nothing(plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "corrections.csv"

@@ -111,7 +111,7 @@ def _run(options: argparse.Namespace) -> int:
         folder = options.out or Path("out") / name
         target = folder / f"{name}.yaml"
         with results_folder(folder, RESULTS_BY) as fresh:
-            write_lessons(learned.lessons, plan.trajectory, errors, fresh / CORRECTIONS)
+            write_lessons(learned.lessons, plan, errors, fresh / CORRECTIONS)
             write_picture(plan, errors, learned.lessons.corrections, run, fresh / PICTURE)
             (fresh / target.name).write_text(write_problem(problem, name, most, folder), encoding="utf-8")
         problem = load_problem(target, absolute_overrides(problem))
@@ -239,7 +239,7 @@ def learned_plan(
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
         for last in (*(False,) * (TRIES - 1), True):
-            write_lessons(replace(lessons, corrections=corrections), plan.trajectory, errors, spec.corrections)
+            write_lessons(replace(lessons, corrections=corrections), plan, errors, spec.corrections)
             with stages.stage("export"):
                 asked = replace(plan, asked=asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory))
                 differences = _differences(asked, language)

@@ -15,7 +15,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import OutputError
 from planner.feedback.learn_fit import Lessons, RunErrors
 from planner.feedback.learn_track import RecordedWay
-from planner.motion.as_run import COLUMNS, Corrections, read_columns
+from planner.motion.as_run import COLUMNS, PLACES, Corrections, places_along, read_columns
 from planner.plan import Plan, Trajectory
 from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
@@ -38,20 +38,21 @@ _RUN = "_run_"  # before the number of a run in the name of its problem
 _BLUE, _GREY, _INK = "#0072b2", "#9aa7b4", "#1b2733"
 
 
-def write_lessons(lessons: Lessons, t: Trajectory, errors: RunErrors, target: Path) -> None:
+def write_lessons(lessons: Lessons, plan: Plan, errors: RunErrors, target: Path) -> None:
     """Write what runs taught as CSV, a row for each place. Raises OutputError."""
     corrections = lessons.corrections
-    off = off_at(corrections, t, errors) * 1e3
+    off = off_at(corrections, plan.trajectory, errors) * 1e3
     numbers = np.column_stack([corrections.s, corrections.shift, lessons.best, lessons.left]) * 1e3
+    places = places_along(plan.toolpath, corrections.bead, corrections.s) * 1e3
     try:
         with target.open("w", encoding="utf-8", newline="") as stream:
             rows = csv.writer(stream, lineterminator="\n")
-            rows.writerow((*COLUMNS, OFF, *BEST, *LEFT, GAIN))
-            for bead, far, values, gain in zip(
-                corrections.bead.tolist(), off.tolist(), numbers.tolist(), lessons.gain.tolist(), strict=True
-            ):
-                texts = [f"{value:.6f}" for value in values]
-                rows.writerow((bead, *texts[:4], "" if np.isnan(far) else f"{far:.4f}", *texts[4:], f"{gain:.4f}"))
+            rows.writerow((*COLUMNS, OFF, *BEST, *LEFT, GAIN, *PLACES))
+            columns = (corrections.bead, off, numbers, lessons.gain, places)
+            for bead, far, values, gain, place in zip(*(column.tolist() for column in columns), strict=True):
+                texts, at = [f"{value:.6f}" for value in values], [f"{value:.3f}" for value in place]
+                known = "" if np.isnan(far) else f"{far:.4f}"
+                rows.writerow((bead, *texts[:4], known, *texts[4:], f"{gain:.4f}", *at))
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror}") from error
 

@@ -7,6 +7,7 @@ how much is told at places along each bead, and is interpolated straight between
 from __future__ import annotations
 
 import csv
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,6 +26,8 @@ from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 
 COLUMNS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")  # of the file, and more that is for people
+PLACES = ("x_mm", "y_mm", "z_mm")  # where that is in the part frame, by which beads that have changed are known
+ASTRAY = 0.5e-3  # m by which such a place may lie off its bead
 LARGEST_FILE = 300_000_000  # bytes: some six million places, or a day of printing
 LARGEST = 1e9  # a number in it: beads, and mm
 FADE = 5e-3  # m of way on which a displacement fades before and behind a bead, or half of what lies between two
@@ -51,9 +54,11 @@ class Corrections(ReadOnlyArrays):
         return float(np.linalg.norm(self.shift, axis=1).max(initial=0.0))
 
 
-def read_columns(path: Path, names: Sequence[str], complain: Complaint) -> tuple[list[int], Array]:
-    """Columns of a file of corrections: the line of each row (k), and its numbers (k, c). Raises InputError, made by
-    `complain`, for what is no such table."""
+def read_columns(
+    path: Path, names: Sequence[str], complain: Complaint, further: Sequence[str] = ()
+) -> tuple[list[int], Array]:
+    """Columns of a file of corrections: the line of each row (k), and its numbers (k, c), with those of further columns
+    behind if all of them are there. Raises InputError, made by `complain`, for what is no such table."""
     lines = read_text(path, LARGEST_FILE, complain)
     try:
         rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].startswith("#")]
@@ -63,6 +68,7 @@ def read_columns(path: Path, names: Sequence[str], complain: Complaint) -> tuple
     missing = [name for name in names if name not in header]
     if missing:
         raise complain(f"{path.name} holds no corrections: no column {missing[0]}", hint=_WRITTEN)
+    names = (*names, *(further if set(further) <= set(header) else ()))
     at = [header.index(name) for name in names]
     try:
         table = np.array([[row[i] for i in at] for _, row in rows[1:]], dtype=np.float64).reshape(-1, len(names))
@@ -77,7 +83,7 @@ def read_columns(path: Path, names: Sequence[str], complain: Complaint) -> tuple
 
 def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Corrections:
     """The corrections in a file. Raises InputError, made by `complain`, for anything that is none of this toolpath's."""
-    numbered, table = read_columns(path, COLUMNS, complain)
+    numbered, table = read_columns(path, COLUMNS, complain, PLACES)
     wrong = partial(_wrong, path, complain, numbered)
     bead = table[:, 0].astype(np.int64)
     beads = toolpath.beads
@@ -87,7 +93,21 @@ def read_corrections(path: Path, toolpath: Toolpath, complain: Complaint) -> Cor
     wrong((s < 0.0) | (s > length[bead] + BEYOND), "beyond the end of its bead: corrections of another print")
     back = np.append(False, (np.diff(bead) < 0) | ((np.diff(bead) == 0) & (np.diff(s) <= 0.0)))
     wrong(back, "not behind the place before")
-    return Corrections(bead, s, table[:, 2:] * 1e-3)
+    shift, written = table[:, 2:5] * 1e-3, table[:, 5:] * 1e-3
+    if written.shape[1]:
+        off = np.linalg.norm(written - places_along(toolpath, bead, s), axis=1)
+        wrong(off > ASTRAY, "beside its bead: corrections of another print, or of beads in another order")
+    return Corrections(bead, s, shift)
+
+
+def places_along(toolpath: Toolpath, bead: Ints, s: Array) -> Array:
+    """Where places (k, 3) at arc lengths s (k) along beads (k), in their order, lie in the part frame [m]."""
+    out = np.empty((len(s), 3))
+    for a, b in itertools.pairwise([*np.flatnonzero(np.diff(bead, prepend=-1)).tolist(), len(s)]):
+        own = toolpath.beads[bead[a]]
+        for axis in range(3):
+            out[a:b, axis] = np.interp(s[a:b], own.s, own.points[:, axis])
+    return out
 
 
 def _are_numbers(row: list[str], at: list[int]) -> bool:
