@@ -124,7 +124,11 @@ def test_layers_name_their_material_or_take_the_first(change: tuple[tuple[str, s
 @pytest.mark.slow
 @pytest.mark.parametrize(("own", "expected"), [("pva", "pva"), (None, "pla")])
 def test_a_wing_and_its_support_are_of_two_materials(own: str | None, expected: str) -> None:
-    changes = ["layers.source.span_mm=2", "process.materials={pva: {}, pla: {}}", "layers.material=pla"]
+    changes = [
+        "layers.source.span_mm=2",
+        "process.materials={pva: {nozzle: tBlack}, pla: {nozzle: tYellow}}",
+        "layers.material=pla",
+    ]
     support = "{length_mm: 110, height_mm: 2, curved: 1" + (f", material: {own}" if own else "") + "}"
     toolpath = build_toolpath(load_problem("naca0015_wing", [*changes, f"layers.support={support}"]))
     found = {bead.name.split()[0]: bead.material for bead in toolpath.beads}
