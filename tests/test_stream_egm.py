@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_fixtures import make_plan
+from export_fixtures import make_plan, two_arms_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -213,6 +213,40 @@ def test_joints_of_a_plan_and_axes_that_are_held(tmp_path) -> None:
             np.testing.assert_allclose(read.q[:, 6 + k], plan.trajectory.q[:, 6], atol=1e-9)
     np.testing.assert_allclose(read.q[:, :6], plan.trajectory.q[:, :6], atol=1e-9)
     np.testing.assert_allclose(read.velocity[:6], plan.cell.limits.velocity[:6])
+
+
+def test_axes_named_as_those_of_the_arm_are_told_from_them(tmp_path) -> None:
+    """A turntable whose axes are joint_1 and joint_2: plan.json names them so, the table positioner_joint_1 and so on."""
+    folder = folder_of(make_plan(), tmp_path)
+    as_named = read_plan(folder)
+    data = json.loads((folder / "plan.json").read_text())
+    data["cell"]["joints"][-1]["name"] = "positioner_joint_2"
+    for axis, name in zip(data["cell"]["holder_axes"], ("joint_1", "joint_2"), strict=True):
+        axis["name"] = name
+    (folder / "plan.json").write_text(json.dumps(data))
+    table = folder / "trajectory.csv"
+    table.write_text(table.read_text().replace(",rotation\n", ",positioner_joint_2\n", 1))
+    read = read_plan(folder)
+    np.testing.assert_array_equal(read.q, as_named.q)
+    np.testing.assert_array_equal(read.velocity, as_named.velocity)
+
+
+@pytest.mark.parametrize(("axes", "said"), [(6, {}), (6, {"holder_is_arm": True}), (7, {"holder_is_arm": True})])
+def test_a_second_arm_that_only_holds_has_no_part_in_it(axes: int, said: dict[str, bool], tmp_path) -> None:
+    plan = make_plan(positioner=False)
+    folder = folder_of(plan, tmp_path)
+    data = json.loads((folder / "plan.json").read_text())
+    held = [{"name": f"joint_{k}", "held_at": 0.1 * k} for k in range(1, axes + 1)]
+    data["cell"] |= {"holder_axes": held, **said}
+    (folder / "plan.json").write_text(json.dumps(data))
+    read = read_plan(folder)
+    np.testing.assert_allclose(read.q, plan.trajectory.q, atol=1e-9)
+    np.testing.assert_allclose(read.velocity, plan.cell.limits.velocity)
+
+
+def test_a_second_arm_that_moves_the_part_is_refused(tmp_path) -> None:
+    with pytest.raises(InputError, match="a second arm moves the part"):
+        read_plan(folder_of(two_arms_plan(), tmp_path))
 
 
 def test_a_table_of_other_steps_is_resampled(tmp_path) -> None:

@@ -325,7 +325,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
     A prismatic joint slides along its direction: its values are metres.
 
     All axes of what holds the part are named as its own robot has them and in that order, with where those stand that
-    are held [rad, m]; so are those of what carries the arm, if anything does.
+    are held [rad, m], and it is said if that is an arm; so are those of what carries the arm, if anything does.
 
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
@@ -354,6 +354,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
         "joints": joints,
         **({"carrier_axes": [{"name": name, "held_at": at} for name, at in carrier.items()]} if carrier else {}),
         "holder_axes": [{"name": name, "held_at": cell.held.get(name)} for name in holder],
+        **({"holder_is_arm": True} if cell.holder_robot is not None and cell.holder_robot.inverse is not None else {}),
         "T_world_nozzle_zero": np.round(cell.arm.poses(np.zeros((1, len(cell.arm))))[0], DECIMALS),
         **({"nozzles": [_nozzle(cell, k) for k in range(len(cell.nozzles))]} if cell.nozzles else {}),
         "T_world_part_zero": np.round(cell.holder.poses(np.zeros((1, len(cell.holder))))[0], DECIMALS),

@@ -92,26 +92,29 @@ def read_plan(folder: Path) -> JointPlan:
     try:
         if data["verified"] is not True:
             raise InputError("the plan is not verified", file=path)
-        joints = data["cell"]["joints"]
+        cell, joints = data["cell"], data["cell"]["joints"]
         names = [str(joint["name"]) for joint in joints]
         arm = [str(joint["name"]) for joint in joints if joint["moves"] == "nozzle"]
         limits = {str(joint["name"]): (float(joint["v_max"]), float(joint["a_max"])) for joint in joints}
-        holder = [(str(axis["name"]), axis["held_at"]) for axis in data["cell"]["holder_axes"]]
-        held = {name: float(angle) for name, angle in holder if angle is not None}
+        axes = [(str(axis["name"]), axis["held_at"]) for axis in cell["holder_axes"]]
+        second_arm = bool(cell.get("holder_is_arm", len(axes) == ARM_AXES))  # older files do not say it
+        # named as one of the arm's, an axis is told from it as columns and joints are
+        holder = {f"positioner_{name}" if name in arm else name: held for name, held in axes}
+        held = {name: float(angle) for name, angle in holder.items() if angle is not None}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
-    if len(arm) != ARM_AXES or len(holder) > MOST_EXTERNAL:
-        raise InputError(f"EGM moves arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} more", file=path)
-    if len(holder) == ARM_AXES:  # an arm, whose joints are another robot's and no external axes of this one
+    if second_arm:  # whose joints are another robot's and no external axes of this one
         if len(held) < len(holder):
             raise InputError("a second arm moves the part, and EGM guides one", file=path)
-        holder = []
+        holder = held = {}
+    if len(arm) != ARM_AXES or len(holder) > MOST_EXTERNAL:
+        raise InputError(f"EGM moves arms of {ARM_AXES} axes, with up to {MOST_EXTERNAL} more", file=path)
     if any(joint.get("type") == "prismatic" for joint in data["cell"]["joints"]):
         raise InputError("guided motion moves no axes that slide", file=path)
     if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):
         raise InputError("a limit that is no positive number", file=path)
     moved, filament = _table(folder / "trajectory.csv", names)
-    order = [*arm, *(name for name, _ in holder)]
+    order = [*arm, *holder]
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
     return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1], filament)
