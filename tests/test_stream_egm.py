@@ -47,6 +47,7 @@ from planner.plan import Plan
 from planner.simulate.board import BOARD_FAULTS, EGM_FAULTS, faults_of
 from planner.simulate.egm import EgmRobot
 from planner.simulate.servers import BoardServer
+from tests.test_counted import cell_of
 
 DEGREES = np.pi / 180.0
 VELOCITY, ACCELERATION = np.array([2.0, 3.0]), np.array([15.0, 30.0])
@@ -244,6 +245,17 @@ def test_a_second_arm_that_only_holds_has_no_part_in_it(axes: int, said: dict[st
     np.testing.assert_allclose(read.velocity, plan.cell.limits.velocity)
 
 
+def test_joints_are_sent_as_the_controller_counts_them(tmp_path) -> None:
+    """An arm whose URDF has other zeros and senses: RAPID counts as data sheets do, and so does EGM."""
+    (tmp_path / "own").mkdir()
+    cell, plan = cell_of("KUKA KR 16-2", tmp_path / "own"), make_plan(positioner=False)
+    twin = cell.as_counted
+    assert np.abs(cell.counted(plan.trajectory.q) - plan.trajectory.q).max() > 1.0
+    read = read_plan(folder_of(replace(plan, cell=cell), tmp_path))
+    np.testing.assert_allclose(read.q, cell.counted(plan.trajectory.q), atol=1e-9)
+    np.testing.assert_allclose(twin.arm.poses(read.q[:9]), cell.arm.poses(plan.trajectory.q[:9]), atol=1e-9)
+
+
 def test_a_second_arm_that_moves_the_part_is_refused(tmp_path) -> None:
     with pytest.raises(InputError, match="a second arm moves the part"):
         read_plan(folder_of(two_arms_plan(), tmp_path))
@@ -268,6 +280,7 @@ def test_a_table_of_other_steps_is_resampled(tmp_path) -> None:
         (lambda d: d["cell"]["joints"][0].update(v_max=0.0), "no positive number"),
         (lambda d: d["cell"]["joints"][0].update(name="elbow"), "no column 'elbow'"),
         (lambda d: d["cell"].update(holder_axes=3), "not a plan of this version"),
+        (lambda d: d["cell"]["joints"][1].update(controller_offset=np.nan), "an angle that is no number"),
     ],
 )
 def test_what_is_no_plan_is_told(spoil, reason: str, tmp_path) -> None:

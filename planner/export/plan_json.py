@@ -145,6 +145,7 @@ SPLIT_KEYS = {
     "why": "what ends there: no branch leads on, or which joint would turn further than its range",
 }
 DECIMALS = 12  # of the screws: a picometre; what lies below is rounding that differs from machine to machine
+COUNT_DECIMALS = 9  # of where a controller has a joint's zero [rad]
 
 
 def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
@@ -319,10 +320,22 @@ def _nozzle(cell: Cell, k: int) -> dict[str, Any]:
     }
 
 
+def _controller_counts(cell: Cell) -> list[dict[str, Any]]:
+    """How the controller counts each joint; nothing of one that it counts as the cell does."""
+    n = len(cell.joint_names)
+    zero, one = np.round(cell.counted(np.vstack([np.zeros(n), np.ones(n)])), COUNT_DECIMALS)
+    signs = np.rint(one - zero)
+    return [
+        {"controller_sign": sign, "controller_offset": offset} if (sign, offset) != (1.0, 0.0) else {}
+        for sign, offset in zip(signs.tolist(), zero.tolist(), strict=True)
+    ]
+
+
 def cell_screws(cell: Cell) -> dict[str, Any]:
     """Joint screws in the world with all joints at 0 (m, rad), limits, and the two end frames there (4, 4).
 
-    A prismatic joint slides along its direction: its values are metres.
+    A prismatic joint slides along its direction: its values are metres. A joint that the controller counts otherwise has
+    `controller_sign` and `controller_offset` (sign * q + offset).
 
     All axes of what holds the part are named as its own robot has them and in that order, with where those stand that
     are held [rad, m], and it is said if that is an arm; so are those of what carries the arm, if anything does.
@@ -330,7 +343,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
     A pose is the product of exponentials of the screws that move it, in the order given, times its frame at 0.
     """
     joints: list[dict[str, Any]] = []
-    limits = cell.limits
+    limits, counts = cell.limits, _controller_counts(cell)
     for moves, chain in (("nozzle", cell.arm), ("part", cell.holder)):
         for screw, slides in zip(np.round(chain.screws, DECIMALS), chain.slides, strict=True):
             i = len(joints)
@@ -346,6 +359,7 @@ def cell_screws(cell: Cell) -> dict[str, Any]:
                     "v_max": limits.velocity[i],
                     "a_max": limits.acceleration[i],
                     "j_max": limits.jerk[i],
+                    **counts[i],
                 }
             )
     holder = [] if cell.holder_robot is None else list(cell.holder_robot.model.names)[1:]

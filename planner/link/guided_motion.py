@@ -66,6 +66,7 @@ class Limiter:
 
 PERIOD = 0.004  # s, of EGM
 MOST_EXTERNAL = 6
+COUNTS = {"controller_sign": 1.0, "controller_offset": 0.0}  # of a joint that the controller counts as the plan does
 LARGEST_TABLE = 2 << 30  # bytes
 LONGEST_STEP = 0.02  # s between samples of a plan
 UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
@@ -75,7 +76,8 @@ UNEVEN = 1e-6  # s by which steps of a table may differ, which is its rounding
 class JointPlan:
     """Joints at EGM's rate (n samples): six of the arm, then all axes of the station in its own order.
 
-    q (n, m) [rad]; velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
+    q (n, m) [rad], as the controller counts them
+    velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
     filament (n,) that the motor has pushed since the start [mm], the board's own unit; None where nobody asks for it
     """
 
@@ -101,6 +103,7 @@ def read_plan(folder: Path) -> JointPlan:
         # named as one of the arm's, an axis is told from it as columns and joints are
         holder = {f"positioner_{name}" if name in arm else name: held for name, held in axes}
         held = {name: float(angle) for name, angle in holder.items() if angle is not None}
+        counts = [[float(joint.get(key, usual)) for key, usual in COUNTS.items()] for joint in joints[: len(arm)]]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
     if second_arm:  # whose joints are another robot's and no external axes of this one
@@ -116,8 +119,12 @@ def read_plan(folder: Path) -> JointPlan:
     moved, filament = _table(folder / "trajectory.csv", names)
     order = [*arm, *holder]
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
+    q, (sign, offset) = np.column_stack(columns), np.transpose(counts)
+    q[:, :ARM_AXES] = sign * q[:, :ARM_AXES] + offset
+    if not np.isfinite(q).all():
+        raise InputError("an angle that is no number", file=path)
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
-    return JointPlan(np.column_stack(columns), both[:, 0], both[:, 1], filament)
+    return JointPlan(q, both[:, 0], both[:, 1], filament)
 
 
 def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
@@ -355,7 +362,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     cell = table_as_written(options.folder, options.edited, say)
     plan = read_plan(options.folder)
     if cell is not None:
-        within_limits(cell, plan.q[:, plan.velocity > 0.0], PERIOD, say)
+        within_limits(cell.as_counted, plan.q[:, plan.velocity > 0.0], PERIOD, say)
     with egm_wire(options.host, options.port, options.controller) as wire:
         say(f"waiting for {options.controller or 'the controller'} on {options.host}:{wire.port} (UDP)")
         if options.head is None:
