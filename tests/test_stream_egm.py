@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from export_fixtures import make_plan, two_arms_plan
+from export_fixtures import make_plan, socket_plan, two_arms_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -41,6 +41,7 @@ from planner.link.guided_motion import (
     Follower,
     JointPlan,
     Limiter,
+    filament_tool,
     read_plan,
 )
 from planner.plan import Plan
@@ -607,6 +608,24 @@ def test_filament_of_a_plan_is_read(tmp_path) -> None:
     coarse = {k: v[every] for k, v in vars(plan.trajectory).items() if isinstance(v, np.ndarray)}
     again = read_plan(folder_of(replace(plan, trajectory=replace(plan.trajectory, dt=0.008, **coarse)), tmp_path))
     assert (np.diff(again.filament) >= 0.0).all() and again.filament[-1] == pytest.approx(read.filament[-1], abs=1e-3)
+
+
+def test_the_tool_is_that_of_the_material(tmp_path) -> None:
+    assert filament_tool(folder_of(make_plan(), tmp_path)) == 0
+    assert filament_tool(folder_of(make_plan(beads=1, materials=("pla", "pva")), tmp_path)) == 1
+
+
+@pytest.mark.parametrize(
+    ("plan", "reason"),
+    [
+        (lambda: make_plan(materials=("pla", "pva")), "2 materials are laid in this print"),
+        (socket_plan, "fibre is cut in this print"),
+    ],
+)
+def test_what_is_more_than_filament_of_one_tool_is_refused(plan, reason: str, tmp_path, capsys) -> None:
+    folder_of(plan(), tmp_path)
+    assert egm.main([str(tmp_path), "--port", "0", "--head", "127.0.0.1:1"]) == 2
+    assert reason in capsys.readouterr().err
 
 
 def fed(board_faults: tuple[str, ...] = (), robot_faults: tuple[str, ...] = ()) -> tuple[list[str], list[str | None]]:

@@ -127,6 +127,25 @@ def read_plan(folder: Path) -> JointPlan:
     return JointPlan(q, both[:, 0], both[:, 1], filament)
 
 
+def filament_tool(folder: Path) -> int:
+    """Number of the tool that lays all of the plan in a folder; 0 where its material has no name.
+
+    Raises InputError where several materials are laid, or fibre is cut: the filament alone is sent, and of one tool.
+    """
+    path = folder / PLAN
+    data = read_json(path)
+    try:
+        tools = [int(material["tool"]) for material in data.get("materials", []) if material["beads"]]
+        is_cut = any(event["kind"] == "cut" for event in data["events"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"not a plan of this version: {error}", file=path, hint="solve the problem again") from error
+    if is_cut or len(tools) > 1:
+        reason = "fibre is cut in this print" if is_cut else f"{len(tools)} materials are laid in this print"
+        hint = "python -m planner.link or planner.link.stream, which give the board all of its lines"
+        raise InputError(f"{reason}, and the board gets the filament of one tool alone", field="--head", hint=hint)
+    return tools[0] if tools else 0
+
+
 def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
     """The named columns at EGM's rate (n, k), and the filament (n)."""
     try:
@@ -346,7 +365,9 @@ def egm_command() -> Command:
     parser.add_argument("--port", type=int, default=PORT, help=f"own UDP port (default {PORT})")
     parser.add_argument("--controller", metavar="HOST", help="address that alone is heard (default: who speaks first)")
     parser.add_argument("--head", metavar="HOST[:PORT]", help="the extruder's board, which gets the filament (port 23)")
-    parser.add_argument("--tool", type=_tool, default=0, metavar="N", help="number of its tool (default 0)")
+    parser.add_argument(
+        "--tool", type=_tool, metavar="N", help="number of its tool (default: that of the plan's material, or 0)"
+    )
     add_edited(parser)
     return parser
 
@@ -363,13 +384,14 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     plan = read_plan(options.folder)
     if cell is not None:
         within_limits(cell.as_counted, plan.q[:, plan.velocity > 0.0], PERIOD, say)
+    tool = 0 if options.head is None else filament_tool(options.folder)
     with egm_wire(options.host, options.port, options.controller) as wire:
         say(f"waiting for {options.controller or 'the controller'} on {options.host}:{wire.port} (UDP)")
         if options.head is None:
             follow(plan, wire, say)
         else:
             with feeding(given_address(options.head, BOARD_PORT, "--head")) as board:
-                follow(plan, wire, say, board, options.tool)
+                follow(plan, wire, say, board, tool if options.tool is None else options.tool)
                 board.finish()
     say("finished")
     return EXIT_VERIFIED
