@@ -477,6 +477,28 @@ def test_cold_switches_the_heaters_off() -> None:
     assert outcome_of(relay.received(BOARD, b"ok\r\nok\r\nok\r\n", 0.0)).safe
 
 
+def lines_of(*texts: str) -> ProgramLines:
+    return ProgramLines("Cup", tuple(ProgramLine(n, 0, 0, 0.0, text) for n, text in enumerate(texts, 1)))
+
+
+def test_every_tool_that_was_heated_is_cooled() -> None:
+    lines = lines_of("M140 S60", "M104 T0 S195", "M104 T2 S190", "M109 T2 S190", "T2", "G1 E1 F60")
+    effects = Relay(lines, 0.0, cold=True).stop("interrupted", 0.0)
+    assert [text.decode().strip() for text in written(effects)[1:]] == [
+        "M106 P0 S0", "M104 S0", "M140 S0", "M104 T0 S0", "M104 T2 S0"
+    ]  # fmt: skip
+
+
+def test_every_output_that_was_switched_goes_off() -> None:
+    """A cutter on an output of its own, stopped between its orders, and a fan."""
+    lines = lines_of("M106 P2 S255", "M104 T1 S200", "M42 P5 S255 G4 P500 M42 P5 S0", "M106 P0 S1", "M280 P1 S90")
+    relay = Relay(lines, 0.0)
+    effects = relay.stop("interrupted", 0.0)
+    off = [b"M106 P0 S0\n", b"M106 P2 S0\n", b"M42 P5 S0\n"]
+    assert written(effects)[1:] == off and relay.last_words[BOARD] == b"".join(off)
+    assert outcome_of(relay.received(BOARD, b"ok\r\nok\r\nok\r\n", 0.0)).safe
+
+
 def test_where_to_go_on() -> None:
     """A bead is through once its last line was acknowledged and a further one came."""
     beads = (-1, 4, 4, 5, -1, 6)

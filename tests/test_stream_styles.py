@@ -163,6 +163,14 @@ def test_either_side_that_fails_stops_both(
         assert plain[-1] == "M106 P0 S0"
 
 
+def test_a_feed_knows_what_its_lines_have_switched() -> None:
+    feed = Feed()
+    assert feed.safe == ("M106 P0 S0",)
+    for text in ("M106 P2 S255", "M42 P5 S255 G4 P500 M42 P5 S0", "M106 P2 S9"):
+        feed.add(text)
+    assert feed.safe == ("M106 P0 S0", "M106 P2 S0", "M42 P5 S0")
+
+
 def test_a_board_that_lags_too_far_stops_the_robot() -> None:
     stream = stream_of(straight(tuple(f"G1 E0.{k} F300" for k in range(100, 140)), moves=41))
     feed = type("Silent", (), {"feed": Feed(), "step": lambda self: None})()

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from planner.base.errors import EXIT_NOT_VERIFIED, PlannerError
 from planner.link.connections import PIECE, Address, part
 from planner.link.messages import Framer, Ok, Resend, Trouble, from_board, to_board, to_board_plain
-from planner.link.relay import MOST_RESENDS, SAFE, Patience
+from planner.link.relay import MOST_RESENDS, SAFE, Patience, safe_behind
 from planner.link.run import LINGER_TIME, open_board
 
 # ----------------------------------------------------------------------------------------------------
@@ -28,10 +28,12 @@ class Feed:
     """Hands lines to a board one at a time, in order, numbered and with a checksum, as the relay does (see `relay`).
 
     sent, acknowledged   lines so far
+    safe                 what makes the board safe behind those that were added
     """
 
     def __init__(self) -> None:
         self.sent = self.acknowledged = 0
+        self.safe: tuple[str, ...] = SAFE
         self._waiting: deque[str] = deque()
         self._framer, self._patience = Framer(), Patience()
         self._under_way, self._resends, self._deadline = "", 0, 0.0
@@ -44,6 +46,7 @@ class Feed:
     def add(self, gcode: str) -> None:
         """A line is due."""
         self._waiting.append(gcode)
+        self.safe = tuple(dict.fromkeys(self.safe + safe_behind([gcode])))
 
     def received(self, data: bytes) -> bytes:
         """Take what the board said; what is to be sent again. Raises FeedStopped for an error, or what was not due."""
@@ -125,8 +128,9 @@ class BoardFeed:
             time.sleep(0.001)
 
     def make_safe(self) -> None:
-        """What is under way is over: the cutter's output off; moves that the board has taken run dry."""
-        part(self._connection, self._unsent + b"".join(to_board_plain(gcode) for gcode in SAFE), LINGER_TIME)
+        """What is under way is over: outputs off, the cutter's too; moves that the board has taken run dry."""
+        last_words = b"".join(to_board_plain(gcode) for gcode in self.feed.safe)
+        part(self._connection, self._unsent + last_words, LINGER_TIME)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -146,8 +147,21 @@ MOST_RESENDS = 3
 MOST_REMARKS = 1000  # of the board between two acks; more is a board that has lost its mind
 SAFE = ("M106 P0 S0",)  # the cutter's output off; moves that the board has taken run dry
 FAILED = "the relay failed"  # by a mistake of its own
-COLD = ("M104 S0", "M140 S0")
+COLD = ("M104 S0", "M140 S0")  # of the tool that is selected, and of the bed
+_SWITCHES, _HEATS = ("M42", "M106"), ("M104", "M109")
 ROBOT_TIME = 30.0  # s in which the robot must be seen to stand, or to go on; who watches it gives up before
+
+
+def safe_behind(gcodes: Iterable[str], cold: bool = False) -> tuple[str, ...]:
+    """What makes the board safe behind some lines: all outputs off that they switch, with `cold` also all heaters."""
+    outputs, heaters = dict.fromkeys(SAFE), dict.fromkeys(COLD if cold else ())
+    for command in (each for gcode in gcodes if "M" in gcode for each in commands_in(gcode)):
+        code, *words = command.split()
+        if code in _SWITCHES:
+            outputs[" ".join([code, *(word for word in words if word[0] == "P"), "S0"])] = None
+        elif cold and code in _HEATS:
+            heaters[" ".join(["M104", *(word for word in words if word[0] == "T"), "S0"])] = None
+    return (*outputs, *heaters)
 
 
 class RelayState(Enum):
@@ -194,7 +208,8 @@ class Relay:
 
     def __init__(self, program: ProgramLines, now: float, cold: bool = False, attended: bool = False) -> None:
         """cold: heaters go off where it stops; attended: somebody can continue what a jam pauses, else that stops it."""
-        self._program, self._safe, self._attended = program, SAFE + (COLD if cold else ()), attended
+        self._program, self._attended = program, attended
+        self._safe = safe_behind((line.text for line in program.lines), cold)
         self._framers = {side: Framer() for side in RelaySide}
         self._gone: set[RelaySide] = set()
         self._state = RelayState.HELLO
