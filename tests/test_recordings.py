@@ -59,11 +59,50 @@ Array = NDArray[np.float64]
 def test_names_of_columns(name: str, role: str | None, joint: int | None, unit: float | None) -> None:
     found = column_of(0, name, cell_of("cylinder_logo")[1])
     if role is None:
-        assert found is None or found.named == 0  # positioner_joint_1 is another's joint_1 by its name
+        assert found is None
         return
     assert found is not None and found.role == role
     np.testing.assert_equal(found.unit, unit)
     assert joint is None or joint in (found.named, found.number)
+
+
+def test_joints_of_a_second_arm_that_only_holds_are_not_the_arms() -> None:
+    _, held = cell_of("fibre_plane", "cell.positioner.free=[]")
+    _, turning = cell_of("fibre_plane")
+    for k in range(1, 7):
+        name = f"actual_positioner_joint_{k}_deg"
+        assert column_of(0, name, held) is None
+        found = column_of(0, name, turning)
+        assert (found is None) == (k != 6) and (found is None or found.named == 6)
+        assert column_of(0, f"actual_joint_{k}_deg", held).named == k - 1
+
+
+Y_ALONE = "cell.base={robot: gantry_xy, free: [gantry_y], held_mm: {gantry_x: 1500}, home_mm: {gantry_y: 500}}"
+
+
+@pytest.mark.parametrize(
+    ("problem", "overrides", "names", "joint", "column"),
+    [
+        ("cylinder_logo", (), "E1", 6, 6),
+        ("cylinder_logo", (), "E1 E2", 6, 7),
+        ("cylinder_logo", (), "eax_a eax_b eax_c eax_d eax_e eax_f", 6, 7),
+        ("cylinder_logo", (), "E2", 6, 6),
+        ("cylinder_logo", ("cell.positioner.free=[tilt]", "cell.positioner.held_deg={}"), "E1 E2", 6, 6),
+        ("rail_panel", (), "E1 E2", 0, 6),
+        ("rail_panel", (Y_ALONE,), "E1", 0, 6),
+        ("rail_panel", (Y_ALONE,), "E1 E2", 0, 7),
+    ],
+)
+def test_external_axes_are_numbered_as_in_programs(
+    problem: str, overrides: tuple[str, ...], names: str, joint: int, column: int, tmp_path: Path
+) -> None:
+    """Held ones too, but where a file has only as many as move."""
+    _, cell = cell_of(problem, *overrides)
+    head = [*(f"J{k}" for k in range(1, 7)), *names.split()]
+    time = 0.01 * np.arange(100)
+    q = np.arange(len(head)) + 0.1 * np.sin(time[:, None] + np.arange(len(head)))
+    (tmp_path / "a.csv").write_text(table_text(",".join(["t_s", *head]), np.column_stack([time, q])))
+    np.testing.assert_allclose(read_log(tmp_path / "a.csv", cell).executed[:, joint], q[:, column])
 
 
 @given(st.text(max_size=30))

@@ -15,6 +15,7 @@ from planner.base.command_line import Command
 from planner.base.errors import Complaint, InputError
 from planner.base.tables import is_number, rows_of, separator_of, split_row
 from planner.cell.cell import Cell
+from planner.export.external import external_axes
 from planner.feedback.bags import BagTable, is_bag, read_bag
 from planner.feedback.glitches import cleaned
 
@@ -338,7 +339,7 @@ def column_of(k: int, name: str, cell: Cell) -> LogColumn | None:
         return LogColumn(k, name, "time", unit)
     role = "commanded" if COMMANDED & set(words) else "executed"
     joints = [joint.lower() for joint in cell.joint_names]
-    named = _named(plain, joints)
+    named = _named(plain, joints, len(cell.arm))
     rest = words if named is None else _WORD.findall(plain.replace(joints[named], " "))
     if OTHER & set(rest):
         return None
@@ -357,13 +358,14 @@ def column_of(k: int, name: str, cell: Cell) -> LogColumn | None:
 def _joints(columns: Sequence[LogColumn], cell: Cell) -> list[tuple[LogColumn, int]]:
     """The joint of each column: by its name, or by its number, from 0 where one has that."""
     from_zero = {column.role for column in columns if column.number == 0 and not column.external}
+    external = _numbered_axes(max((column.number or 0 for column in columns if column.external), default=0), cell)
     out, first, own = [], cell.own.start, cell.own.stop - cell.own.start
     for column in columns:
         j = column.named
         if column.number is not None and (j is None or column.role in from_zero):
             if column.external:
                 at = column.number - 1
-                j = cell.besides[at] if 0 <= at < len(cell.besides) else None
+                j = external[at] if 0 <= at < len(external) else None
             else:
                 at = column.number - (column.role not in from_zero)
                 j = first + at if 0 <= at < own else None
@@ -372,12 +374,23 @@ def _joints(columns: Sequence[LogColumn], cell: Cell) -> list[tuple[LogColumn, i
     return out
 
 
-def _named(plain: str, joints: Sequence[str]) -> int | None:
-    """The joint whose own name stands in a column's: the longest of them."""
+def _numbered_axes(highest: int, cell: Cell) -> Sequence[int | None]:
+    """The joints of external axes 1, 2 and so on, None of those that are held: programs, and controllers, number these too.
+    A file whose `highest` number is no more than the axes that move is taken to have these alone."""
+    if highest <= len(cell.besides):
+        return cell.besides
+    moving = iter(cell.besides)
+    return [next(moving) if axis.held is None else None for axis in external_axes(cell)]
+
+
+def _named(plain: str, joints: Sequence[str], arm: int) -> int | None:
+    """The joint whose own name stands in a column's: the longest of them. Of the first `arm` joints, which are the arm's, not
+    behind positioner_, which tells a holder's axis of the same name, such as one that is held."""
+    before = [r"(?<![a-z0-9])" + (r"(?<!positioner_)" if j < arm else "") for j in range(len(joints))]
     inside = [
         j
         for j, name in enumerate(joints)
-        if re.search(rf"(?<![a-z0-9]){re.escape(name)}(?![a-z0-9]|_[0-9])", plain) is not None
+        if re.search(rf"{before[j]}{re.escape(name)}(?![a-z0-9]|_[0-9])", plain) is not None
     ]
     return max(inside, key=lambda j: len(joints[j])) if inside else None
 
