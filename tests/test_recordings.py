@@ -189,6 +189,14 @@ def test_two_arms_of_one_kind_have_a_file_each(tmp_path: Path) -> None:
     assert len(set(names)) == len(names) == 2
 
 
+def test_two_tracks_of_one_kind_have_a_file_each(tmp_path: Path) -> None:
+    table = "cell.positioner={robot: track_3m, base_mm: [0, 3000, 0], free: [rail]}"
+    robots = robots_of(*cell_of("rail_panel", "cell.bed_mm=null", table))
+    names = [robot.target(tmp_path).name for robot in robots]
+    assert names == ["irb1600_12_measured.yaml", "track_3m_measured.yaml", "track_3m_positioner_measured.yaml"]
+    assert [robot.joints for robot in robots[1:]] == [(0,), (7,)]
+
+
 def _spoilt(change: str) -> tuple[str, str]:
     """A recording that something is wrong with, and what is said."""
     asked, recording = sample()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +44,16 @@ class MeasuredRobot:
 
 
 def robots_of(problem: Problem, cell: Cell) -> list[MeasuredRobot]:
-    """The robots of a cell: the arm, what carries it, what holds the part."""
+    """The robots of a cell: the arm, what carries it, what holds the part; of two of one kind each has a file of its own."""
     spec, na = problem.cell, len(cell.arm)
     names = {name: cell.own.start + k for k, name in enumerate(cell.arm.names[cell.own])}
     out = [_measured(spec.arm, "", names)]
     if spec.carrier is not None and cell.carrier is not None and cell.carrier.free:
         out.append(_measured(spec.carrier.robot, "", {name: k for k, name in enumerate(cell.carrier.free)}))
     if spec.positioner is not None:
-        # two arms of one kind have limits, and a file, each of its own
-        does = "positioner_" if spec.positioner.robot == spec.arm else ""
-        out.append(_measured(spec.positioner.robot, does, {name: na + k for k, name in enumerate(cell.holder.names)}))
+        holder = _measured(spec.positioner.robot, "", {name: na + k for k, name in enumerate(cell.holder.names)})
+        taken = {robot.target(Path()) for robot in out}
+        out.append(replace(holder, does="positioner_") if holder.target(Path()) in taken else holder)
     return out
 
 
