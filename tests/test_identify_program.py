@@ -108,8 +108,20 @@ def test_a_rapid_program_says_what_is_asked() -> None:
     np.testing.assert_allclose(np.array(targets)[:, [0, 1, 2, 3, 4, 5, 7]], q, atol=2e-4)
     waits = [float(line.split(",")[1].rstrip(";")) for line in text.splitlines() if "WaitTime" in line]
     np.testing.assert_allclose(waits, asked.rests)
-    slow = [line for line in text.splitlines() if "[9999,100,1745.33,100]" in line]
+    slow = [line for line in text.splitlines() if "[9999,100,9999,100]" in line]
     assert len(slow) == 4, "joints 1 and 2, there and back, at half of 200 degrees a second"
+
+
+def test_all_joints_come_to_the_start_at_a_tenth_of_their_speed() -> None:
+    """The rail too, whose metres a second are no degrees."""
+    asked, (_, cell) = asked_of("rail_panel", "rapid"), cell_of("rail_panel")
+    (text,) = program_files(cell, asked, "").values()
+    first = next(line for line in text.splitlines() if "MoveAbsJ" in line)
+    arm = 0.1 * np.degrees(cell.limits.velocity[1:].min())
+    rail = 1e2 * cell.limits.velocity[0]
+    np.testing.assert_allclose(_numbers(first.split("NoEOffs,")[1])[:4], [100.0, arm, rail, arm], atol=1e-3)
+    slow = [line for line in text.splitlines() if f"[9999,9999,{500.0 * cell.limits.velocity[0]:g},9999]" in line]
+    assert len(slow) == 2, "the rail alone, there and back, at half of its speed"
 
 
 def test_a_second_arm_that_stands_still_is_no_unit() -> None:

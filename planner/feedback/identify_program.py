@@ -9,7 +9,7 @@ moves tell them apart in a recording. A file beside the program says what was as
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, Limits
 from planner.collision.scene import Obstacles
 from planner.export.external import external_written
 from planner.export.joint_trajectory import SplineKnots, message
@@ -319,11 +319,7 @@ def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
     ]
     for (move, rest), joints, others in zip(_steps(asked), own, external, strict=True):
         share = TO_START if move is None else move.share
-        j = None if move is None else move.joint
-        # of one joint that turns, the tool's turning speed is the joint's own
-        degrees = np.degrees(limits.velocity) if j is None else np.degrees(limits.velocity[[j]])
-        turning = UNLIMITED if share == 1.0 else round(share * float(degrees.min()), 3)
-        sliding = UNLIMITED if share == 1.0 or j is None else round(share * float(limits.velocity[j]) * 1e3, 3)
+        turning, sliding = _axis_speeds(limits, range(len(q[0])) if move is None else (move.joint,), share)
         tip = UNLIMITED if move is not None else 100
         speed = f"[{tip},{turning:g},{sliding:g},{turning:g}]"
         text = ",".join(number(value, 5) for value in joints)
@@ -333,6 +329,15 @@ def _rapid(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
         ]
     lines += [*(f"        DeactUnit {each};" for each in unit), "    ENDPROC", "ENDMODULE", ""]
     return {f"{name}.mod": "\n".join(lines)}
+
+
+def _axis_speeds(limits: Limits, joints: Iterable[int], share: float) -> tuple[float, float]:
+    """The last two speeds of a speeddata at a share of the least speed of some joints: of those that turn [deg/s], to which
+    the tool's turning speed is the same, and of those that slide [mm/s]."""
+    speeds = np.where(limits.turns, np.degrees(limits.velocity), 1e3 * limits.velocity)
+    own = [[float(speeds[j]) for j in joints if limits.turns[j] == turns] for turns in (True, False)]
+    turning, sliding = (round(share * min(each), 3) if each and share < 1.0 else UNLIMITED for each in own)
+    return turning, sliding
 
 
 def _krl(cell: Cell, asked: AskedMoves, station: str) -> dict[str, str]:
