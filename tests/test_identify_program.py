@@ -12,13 +12,15 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.base.errors import InputError
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.joint_trajectory import at_times, read_joint_trajectory
 from planner.export.krl import from_kuka
 from planner.feedback.identify_program import (
+    FreeSpace,
     asked_moves,
     asked_text,
+    common_space,
     free_spaces,
     greatest_lengths,
     language_of,
@@ -32,6 +34,7 @@ from tests.identify_fixtures import (
     asked_of,
     cell_of,
 )
+from tests.test_nozzles import TWO, problem_of
 
 Array = NDArray[np.float64]
 
@@ -178,6 +181,19 @@ def test_languages_that_do_not_do_are_refused() -> None:
         language_of(problem, cell, "val3")
     with pytest.raises(InputError, match="no arm of Universal Robots"):
         language_of(problem, cell, "urscript")
+
+
+@pytest.mark.parametrize("language", ["rapid", "krl", "joint_trajectory"])
+def test_neither_nozzles_nor_what_a_run_has_taught_matter_to_joints(language: str) -> None:
+    problem = problem_of(*TWO)
+    taught = problem.model_copy(update={"as_run": {}})
+    assert language_of(taught, build_cell(problem), language) == language
+
+
+def test_what_is_free_is_free_with_every_nozzle() -> None:
+    one, other = FreeSpace(-1.0, 2.0, ("a", "b")), FreeSpace(-0.5, 3.0, ("c", "d"))
+    assert common_space([one, other]) == FreeSpace(-0.5, 2.0, ("c", "b"))
+    assert common_space([one]) == one
 
 
 def test_what_was_asked_is_read_back(tmp_path: Path) -> None:

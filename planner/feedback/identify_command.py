@@ -47,6 +47,7 @@ from planner.feedback.identify_program import (
     asked_moves,
     asked_name,
     asked_text,
+    common_space,
     free_spaces,
     greatest_lengths,
     language_of,
@@ -142,7 +143,11 @@ def _write(options: argparse.Namespace) -> int:
     start, most = start_posture(cell, options.start), greatest_lengths(cell, options.most)
     target = options.out or Path("out") / f"{problem.name}_identify"
     with results_folder(target, BY) as fresh:
-        spaces = free_spaces(cell, obstacles_of(problem, cell, build_toolpath(problem)), start, most)
+        toolpath = build_toolpath(problem)
+        # whichever of several nozzles is on the flange
+        cells = [cell.with_nozzle(k) for k in range(len(cell.nozzles))] or [cell]
+        found = [free_spaces(each, obstacles_of(problem, each, toolpath), start, most) for each in cells]
+        spaces = [common_space(each) for each in zip(*found, strict=True)]
         asked = asked_moves(problem, cell, start, spaces, language)
         files = program_files(cell, asked, problem.program.mover(second_arm=False))
         files[asked_name(problem.name)] = asked_text(asked)

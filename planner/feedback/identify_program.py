@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,6 +151,12 @@ def free_spaces(cell: Cell, obstacles: Obstacles, start: Array, most: Array) -> 
     return tuple(_space(cell, obstacles, start, j, float(most[j])) for j in range(len(start)))
 
 
+def common_space(spaces: Sequence[FreeSpace]) -> FreeSpace:
+    """The space that a joint has in each of several cells."""
+    low, high = max(spaces, key=lambda each: each.low), min(spaces, key=lambda each: each.high)
+    return FreeSpace(low.low, high.high, (low.bounds[0], high.bounds[1]))
+
+
 def asked_moves(problem: Problem, cell: Cell, start: Array, spaces: Sequence[FreeSpace], language: str) -> AskedMoves:
     """The moves of a test program in a language; those of joints without enough space are left out.
 
@@ -256,12 +262,16 @@ UNLIMITED = 9999  # mm/s and deg/s: RAPID takes what the joints can do
 
 
 def language_of(problem: Problem, cell: Cell, asked: str | None) -> str:
-    """The language of a test program: as asked, or the arm's own. Raises InputError for one that does not do."""
+    """The language of a test program: as asked, or the arm's own. Raises InputError for one that does not do.
+
+    A test program moves joints alone: how many nozzles there are, and what a print's run has taught, is no matter.
+    """
     language = asked or cell.arm_robot.language
     if language not in TEST_LANGUAGES:
         reason = f"test programs are written in {', '.join(TEST_LANGUAGES)}, and {cell.arm_robot.name} takes {language}"
         raise InputError(reason, field="--language", hint="move it by a program of your own that asks the same moves")
-    if (reason_not := LANGUAGES[language].unsupported(ProblemSetup(problem, cell))) is not None:
+    joints_alone = ProblemSetup(problem.model_copy(update={"as_run": None}), replace(cell, nozzles=()))
+    if (reason_not := LANGUAGES[language].unsupported(joints_alone)) is not None:
         raise InputError(f"{language} cannot say this: {reason_not}", field="--language")
     if language == "rapid" and cell.second_arm is not None:
         reason = f"{cell.second_arm.name} moves in a task of its own, and a test program is one task"
