@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from benchmarks.recordings import line_table
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
+from planner.base.shipped import PROBLEMS
 from planner.feedback.identify_command import main
 from planner.feedback.identify_extruder import (
     LENGTH,
@@ -236,6 +237,15 @@ def test_the_line_s_problem_has_the_cell_and_nothing_of_the_print(tmp_path: Path
     read = load_problem(tmp_path / "logo_line.yaml")
     assert read.process.extruder.lag == 0.0 and read.process.bead.height == problem.process.bead.height
     assert read.cell.model_dump(exclude={"arm"}) == problem.cell.model_dump(exclude={"arm"})
+
+
+def test_the_line_s_problem_has_nothing_of_what_runs_have_taught(tmp_path: Path) -> None:
+    """Corrections are of the print's beads."""
+    text = (PROBLEMS / "cylinder_logo.yaml").read_text("utf-8")
+    (tmp_path / "logo.svg").write_text((PROBLEMS / "logo.svg").read_text("utf-8"), encoding="utf-8")
+    (tmp_path / "taught.yaml").write_text(f"{text}\nas_run:\n  corrections: run.csv\n", encoding="utf-8")
+    problem = load_problem(tmp_path / "taught.yaml")
+    assert "as_run" not in problem_text(problem, line_of(problem, LENGTH), "logo_line", tmp_path)
 
 
 @pytest.mark.parametrize(
