@@ -37,6 +37,7 @@ from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.plan.seal import sealed
 from planner.planning.pipeline import solve, write
+from tests.identify_fixtures import cell_of, table_text
 from tests.solved import small_plan, small_problem
 from tests.test_player import CELL, program_through
 
@@ -322,6 +323,18 @@ def test_a_saved_plan_of_a_resumed_print_is_one_of_its_problem(tmp_path: Path):
 def test_another_unit_is_refused(tmp_path: Path):
     with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
         run_and_log(tmp_path, written(tmp_path, unit="rad"))
+
+
+def test_another_unit_is_told_beside_a_rail(tmp_path: Path):
+    """Its millimetres are right where the arm's degrees are radians."""
+    _, cell = cell_of("rail_panel")
+    t = 0.01 * np.arange(400)
+    q = cell.home + 0.5 * (1.0 - np.cos(t))[:, None] * np.array([0.2, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
+    run = PlannedRun(path_of_samples(q, cell), cell, "", "the plan's samples")
+    head = ",".join(["t_s", "rail_mm", *(f"joint_{k}_deg" for k in range(1, 7))])
+    (tmp_path / "run.csv").write_text(table_text(head, np.column_stack([t, 1e3 * q[:, 0], q[:, 1:]])))
+    with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
+        recorded_run(read_log(tmp_path / "run.csv", cell), run, cell)
 
 
 def test_what_is_no_plan_is_refused(tmp_path: Path):

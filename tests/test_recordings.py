@@ -197,6 +197,18 @@ def test_two_tracks_of_one_kind_have_a_file_each(tmp_path: Path) -> None:
     assert [robot.joints for robot in robots[1:]] == [(0,), (7,)]
 
 
+def test_another_unit_is_told_beside_a_rail(tmp_path: Path) -> None:
+    """Its millimetres are right where the arm's degrees are radians."""
+    _, cell = cell_of("rail_panel")
+    asked = asked_of("rail_panel", joints=(2,), most=20.0)
+    made = recorded(asked, truth_of(cell, delay=0.02))
+    head = ",".join(["t_s", "rail_mm", *(f"joint_{k}_deg" for k in range(1, 7))])
+    table = np.column_stack([made.time, 1e3 * made.executed[:, 0], made.executed[:, 1:]])
+    (tmp_path / "run.csv").write_text(table_text(head, table))
+    with pytest.raises(InputError, match="joints are in radians, where its header says degrees"):
+        match(read_log(tmp_path / "run.csv", cell), asked)
+
+
 def _spoilt(change: str) -> tuple[str, str]:
     """A recording that something is wrong with, and what is said."""
     asked, recording = sample()

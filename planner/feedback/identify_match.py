@@ -202,7 +202,8 @@ def _misfit(log: RobotLog, asked: AskedMoves, q: Array, rests: RecordedRests) ->
     hint = "name the columns as they are"
     for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
         # places are too near each other, or too far, to be told from noise in another unit: looked at anew
-        if _aligned(find_rests(log.time, scale * q, asked), asked) is not None:
+        factors = np.where(np.isin(np.arange(q.shape[1]), asked.sliding), 1.0, scale)
+        if _aligned(find_rests(log.time, factors * q, asked), asked) is not None:
             return InputError(f"joints are in {unit}, where its header says {said}", file=log.file, hint=hint)
     if not len(rests):
         return InputError("the joints never rest in it", file=log.file, hint="record the whole test program")

@@ -207,7 +207,7 @@ def _misfit(log: RobotLog, q: Array, run: PlannedRun) -> InputError:
     """Why no run of the program begins in a recording."""
     hint = "name the columns as they are"
     for scale, unit, said in ((1.0 / DEGREE, "radians", "degrees"), (DEGREE, "degrees", "radians")):
-        if departures(scale * q, run.path.q[0], run.cell):
+        if departures(np.where(run.cell.limits.turns, scale, 1.0) * q, run.path.q[0], run.cell):
             return InputError(f"joints are in {unit}, where its header says {said}", file=log.file, hint=hint)
     names = run.cell.joint_names
     for i in range(len(names)):
