@@ -16,12 +16,14 @@ from hypothesis import strategies as st
 from solved import small_plan, write_small
 
 from planner.base.errors import InputError
+from planner.cell.cell import build_cell
 from planner.link.as_written import differing, program_as_written, table_as_written, within_limits
 from planner.link.guided_motion import PERIOD, read_plan
 from planner.link.streaming import main, modules_in
 from planner.plan import Plan, Trajectory
 from planner.plan.seal import changed_since, digest_of, seal_of, sealed
 from planner.planning.pipeline import as_it_is, solve, write
+from planner.problem import load_problem
 
 Change = Callable[[Plan], Plan]
 
@@ -307,8 +309,16 @@ def test_an_edited_table_keeps_to_the_limits(results: Path, written: tuple[Path,
     for change, words in ((4.0, "leaves its range"), (0.1, "times its speed"), (1e-3, "times its acceleration")):
         jumped = q.copy()
         jumped[500:, 2] += change
-        with pytest.raises(InputError, match=f"joint 3 .*{words}"):
+        with pytest.raises(InputError, match=f"joint_3 .*{words}"):
             within_limits(cell, jumped, PERIOD, told.append)
+
+
+def test_what_carries_the_arm_is_told_by_its_name() -> None:
+    cell = build_cell(load_problem("rail_panel"))
+    q = np.tile(cell.home, (3, 1))
+    q[1, 0] = cell.limits.q_max[0] + 0.1
+    with pytest.raises(InputError, match="rail leaves its range"):
+        within_limits(cell, q, PERIOD, lambda text: None)
 
 
 def test_what_was_not_written_with_the_plan_is_told(results: Path) -> None:

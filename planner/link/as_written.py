@@ -106,7 +106,7 @@ def within_limits(cell: Cell, q: Array, period: float, say: Say) -> None:
         row, joint = np.unravel_index(int(np.argmax(share)), share.shape)
         if not share[row, joint] <= 1.0 + WITHIN:
             raise InputError(
-                f"joint {int(joint) + 1} is at {share[row, joint]:.2f} times its {what} at {row * period:.3f} s"
+                f"{cell.joint_names[joint]} is at {share[row, joint]:.2f} times its {what} at {row * period:.3f} s"
             )
     say(
         f"played: joints within range, at most {100 * np.max(speed / limits.velocity, initial=0.0):.0f} % of their speed"
@@ -118,7 +118,7 @@ def _within_range(cell: Cell, q: Array, times: Array) -> None:
     beyond = np.maximum(cell.limits.q_min - q, q - cell.limits.q_max)
     row, joint = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
     if not beyond[row, joint] <= ROUNDING:
-        raise InputError(f"joint {int(joint) + 1} leaves its range at {times[row]:.3f} s")
+        raise InputError(f"{cell.joint_names[joint]} leaves its range at {times[row]:.3f} s")
 
 
 def _may_differ(folder: Path, found: Mapping[str, str], edited: str | None, say: Say) -> Cell:
