@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.base.errors import Refusal
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.infeasible import _collision
+from planner.resolve.infeasible import _collision, _turned
 from planner.resolve.joint_path import JointPath, flange_poses
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
@@ -87,6 +87,20 @@ def test_a_held_axis_is_turned_to_where_there_is_a_path(toolpath: Toolpath) -> N
     found = re.fullmatch(r"cell.positioner.held_deg: \{tilt: (-?\d+)\} gives a path in the coarse search", hint)
     assert found, hint
     assert len(plan(toolpath, tight, f"cell.positioner.held_deg={{tilt: {found[1]}}}")) == 1
+
+
+@pytest.mark.parametrize("free", ("[rotation]", "[]"))
+def test_a_held_axis_is_turned_with_the_part_where_it_stands_on_the_plate(free: str) -> None:
+    of_plate = ["cell.positioner.part_mm=[10, -20, 60]", "cell.positioner.part_rpy_deg=[0, 10, 30]"]
+    free = f"cell.positioner.free={free}"
+    cell, turned = (
+        build_cell(load_problem("cylinder_logo", [*of_plate, free, f"cell.positioner.held_deg={{tilt: {tilt}}}"]))
+        for tilt in (0, 30)
+    )
+    found = _turned(cell, "tilt", np.radians(30.0))
+    np.testing.assert_allclose(found.T_world_holder, turned.T_world_holder, rtol=0, atol=1e-12)
+    rest = turned.home[None, len(turned.arm) :]
+    np.testing.assert_allclose(found.holder.poses(rest), turned.holder.poses(rest), rtol=0, atol=1e-12)
 
 
 def test_the_tilt_that_is_named_is_the_least_that_has_a_posture(toolpath: Toolpath) -> None:

@@ -256,7 +256,7 @@ def _turned(cell: Cell, name: str, angle: float) -> Cell:
     if cell.holder_robot is None:
         return cell
     held = {**cell.held, name: angle}
-    holder = chain_of(cell.holder_robot, cell.T_world_holder_base, np.eye(4), cell.holder.names, held)
+    holder = chain_of(cell.holder_robot, cell.T_world_holder_base, cell.T_plate_part, cell.holder.names, held)
     return replace(cell, holder=holder, held=held, T_world_holder=holder.poses(np.zeros((1, len(holder))))[0])
 
 
