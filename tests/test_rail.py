@@ -18,8 +18,9 @@ from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.cell.kinematics.inverse import OnRail, kind_of, solve_one, solver_of
+from planner.cell.solids import Body, Box
 from planner.collision.margins import nearest_margins
-from planner.collision.scene import NOTHING, obstacles_of
+from planner.collision.scene import NOTHING, PART, obstacles_of
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
@@ -651,6 +652,16 @@ def test_a_refusal_judges_postures_with_the_table_where_it_was_searched(short_sl
     tips = cell.T_part_nozzle(q)[:, :3, 3]
     np.testing.assert_allclose(tips, np.tile(demand.tip[demand.rung[1]], (len(q), 1)), atol=1e-6)
     assert np.ptp(q[:, -1]) > 0.5
+
+
+def test_a_post_stands_in_the_way_of_a_part_that_slides(short_slide: Problem) -> None:
+    cell = build_cell(short_slide)
+    aside = cell.home + [*np.zeros(6), 0.5]
+    post = Body("post", Box((0.1, 0.1, 0.02)), cell.holder.poses(aside[None, 6:])[0])
+    obstacles = obstacles_of(short_slide, replace(cell, fixtures=(post,)), build_toolpath(short_slide))
+    margin, which = obstacles.margins(np.stack([cell.home, aside]), np.full(2, 2.0), np.inf)
+    assert margin[0] > 0.0 > margin[1]
+    assert obstacles.names(int(which[1])) == ("post", PART)
 
 
 def test_a_slide_lengthens_what_turns_before_it(tmp_path: Path) -> None:

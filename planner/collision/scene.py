@@ -315,7 +315,11 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     ]
     needed = [around.nozzle if HEAD in (solid[a].whose, solid[b].whose) else around.arm for a, b in pairs]
     trees, frames, poses = [around.part], [part_frame], [cell.holder.T_last_tip]
-    look = [(k, 0) for k, thing in enumerate(solid) if thing.whose == HEAD or (thing.whose == ARM and thing.link)]
+    look = [
+        (k, 0)
+        for k, thing in enumerate(solid)
+        if thing.whose == HEAD or (thing.whose in (ARM, FIXTURE) and thing.frame != part_frame)
+    ]
     clearance = [around.nozzle if solid[k].whose == HEAD else around.arm for k, _ in look]
     around = replace(around, meshes=_points_of([thing.body.solid for thing in meshes], around))
     for mesh, (_, tree) in zip(meshes, around.meshes, strict=True):
