@@ -12,10 +12,18 @@ from numpy.typing import NDArray
 
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
+from planner.problem.settings import ResolveSpec
 from planner.resolve import table_path as module
 from planner.resolve.joint_path import leaned, sample_tasks, spread, turned_from
-from planner.resolve.prices import BRANCH_PRICE, DIP_PRICE, HOME_PRICE, TABLE_MOVE_PRICE, TRAVEL_PRICE
-from planner.resolve.table_path import Cells, Steps, _cheapest, carried, table_path
+from planner.resolve.prices import (
+    BRANCH_PRICE,
+    DIP_PRICE,
+    HOME_PRICE,
+    NO_POSTURE_PRICE,
+    TABLE_MOVE_PRICE,
+    TRAVEL_PRICE,
+)
+from planner.resolve.table_path import Cells, Steps, _cheapest, _posture_prices, carried, table_path
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import Cones, NozzleTask, smooth_normals
 
@@ -104,6 +112,17 @@ def test_cheapest_way_against_all_ways(seed: int, kept: float, monkeypatch: pyte
 def two_axes() -> Cell:
     free = ["cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]"]
     return build_cell(load_problem("cylinder_logo", free))
+
+
+def on_track(home_mm: float) -> tuple[Cell, ResolveSpec]:
+    """The same table beside an arm on a track, which reaches it from 1500 mm; and how its paths are searched."""
+    changes = [
+        "cell.positioner.held_deg={}", "cell.positioner.free=[tilt, rotation]", "cell.home_deg=[-60, 20, 30, 90, -80, 60]",
+        "cell.base_mm=[0, -1500, -300]", "cell.base_rpy_deg=[0, 0, 90]",
+        f"cell.base={{robot: track_3m, free: [rail], home_mm: {{rail: {home_mm}}}}}",
+    ]  # fmt: skip
+    problem = load_problem("cylinder_logo", [*changes, "resolve.rung_mm=10", "resolve.roll_step_deg=30"])
+    return build_cell(problem), problem.resolve
 
 
 def on_normals(
@@ -219,6 +238,13 @@ def test_where_no_angles_keep_to_the_cone_the_nearest_are_taken() -> None:
     lean = leans(stiff, ring(np.radians(25.0), Cones(layer_gravity=np.radians(8.0))), 4e-3)
     assert (lean > 18.0).all()
     assert lean.max() < 24.0
+
+
+@pytest.mark.parametrize("home_mm", [0.0, 1500.0])
+def test_the_table_is_planned_for_an_arm_that_goes_along_on_its_track(home_mm: float) -> None:
+    cell, _ = on_track(home_mm)
+    tips = cell.arm.poses(cell.home[None, : len(cell.arm)])[0, :3, 3] + np.outer([0.0, 0.7, 1.4], [0.0, 1.0, 0.0])
+    assert (_posture_prices(cell, tips, 0.04).min(axis=(1, 2)) < NO_POSTURE_PRICE).all()
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

@@ -237,16 +237,35 @@ class JointPath:
 
 
 def at_rest(cell: Cell) -> Array:
-    """Where the chosen joints (k) rest: at home, or as near to it as a path may come to the ends of their ranges.
+    """Where the chosen joints (k) rest: at home, or as near to it as a path may come to the ends of their ranges."""
+    return np.clip(cell.home[list(cell.chosen)], *_inner_ranges(cell))
 
-    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice. In the
+
+def _inner_ranges(cell: Cell) -> tuple[Array, Array]:
+    """Lowest and highest places and angles (k) of the chosen joints that are as far from the ends of their ranges as a path is.
+
+    Joints of the arm keep `Limits.room`, which is asked of all its postures; for rounding MARGIN is kept twice. The
     middle of ranges that are too narrow for that.
     """
     chosen = list(cell.chosen)
     low, high = cell.limits.q_min[chosen], cell.limits.q_max[chosen]
     room = MARGIN + np.where(np.array(chosen, dtype=int) < len(cell.arm), cell.limits.room, MARGIN)
     room = np.minimum(room, 0.5 * (high - low))
-    return np.clip(cell.home[chosen], low + room, high - room)
+    return low + room, high - room
+
+
+def gone_along(cell: Cell, tip: Array) -> Array:
+    """Places and angles (m, k) of the arm's given joints where those that slide go along with the nozzle, whose tip is at
+    (m, 3) in the world [m]: from where they are at home, within their ranges. The others rest."""
+    home, nh = cell.home[None, : len(cell.arm)], len(cell.holder)
+    away = tip - cell.arm.poses(home)[0, :3, 3]
+    along = cell.arm.jacobians(home)[0, :3]  # columns of joints that slide are their directions
+    low, high = (ends[nh:] for ends in _inner_ranges(cell))
+    out = np.tile(at_rest(cell)[nh:], (len(tip), 1))
+    for k, j in enumerate(cell.given):
+        if cell.arm.slides[j]:
+            out[:, k] = np.clip(out[:, k] + away @ along[:, j], low[k], high[k])
+    return out
 
 
 def spread(values: Array, n: int, places: Array) -> Array:

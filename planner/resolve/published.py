@@ -24,7 +24,7 @@ from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import Chain
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
-from planner.resolve.joint_path import JointPath, at_rest, choose_turns, postures, turns_within, upright
+from planner.resolve.joint_path import JointPath, at_rest, choose_turns, gone_along, postures, turns_within, upright
 from planner.toolpath.task import NozzleTask
 
 SAMPLES = 500  # of the whole print, on which angles are checked before its paths are made
@@ -168,7 +168,7 @@ def _home_roll(cell: Cell, task: NozzleTask, chosen: Array) -> Array:
 
 def _chosen(cell: Cell, task: NozzleTask, way: str, held: float) -> Array:
     """Chosen joints (n, k): at home but for the holder's last axis, at `held` [rad] from there or turning, and for tracks."""
-    na, nh = len(cell.arm), len(cell.holder)
+    nh = len(cell.holder)
     chosen = np.tile(at_rest(cell), (len(task), 1))
     turns = nh > 0 and not cell.holder.slides[-1]
     if turns and way == "turning_table":
@@ -177,12 +177,7 @@ def _chosen(cell: Cell, task: NozzleTask, way: str, held: float) -> Array:
         chosen[:, nh - 1] += held
     T_world_part = cell.holder.poses(chosen[:, :nh])
     tip = np.einsum("nij,nj->ni", T_world_part[:, :3, :3], task.tip) + T_world_part[:, :3, 3]
-    away = tip - cell.arm.poses(cell.home[None, :na])[0, :3, 3]
-    along = cell.arm.jacobians(cell.home[None, :na])[0, :3]  # columns of joints that slide are their directions
-    low, high = cell.limits.q_min + cell.limits.room, cell.limits.q_max - cell.limits.room
-    for k, j in enumerate(cell.given, start=nh):
-        if cell.arm.slides[j]:
-            chosen[:, k] = np.clip(chosen[:, k] + away @ along[:, j], low[j], high[j])
+    chosen[:, nh:] = gone_along(cell, tip)
     return chosen
 
 

@@ -22,7 +22,7 @@ from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of
-from planner.resolve.joint_path import SampledTasks, at_rest, leaned, least_cone, spread
+from planner.resolve.joint_path import SampledTasks, at_rest, gone_along, leaned, least_cone, spread
 from planner.resolve.prices import (
     BRANCH_PRICE,
     DIP_PRICE,
@@ -261,13 +261,13 @@ def _find_cells(up, T_world_part, normals, tips, cone):
 
 def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.float32]:
     """Prices (v, headings, 8) [s/s] of the arm's postures with the nozzle straight down at positions (v, 3), its tip moving at
-    a speed [m/s]: closeness, and what that speed needs of the joints'."""
+    a speed [m/s]: closeness, and what that speed needs of the joints'. Rails go along with the nozzle, see `gone_along`."""
     price = np.full((len(middles), _HEADINGS, cell.inverse.branch_count), NO_POSTURE_PRICE, dtype=np.float32)
-    redundant = cell.home[list(cell.given)] if cell.given else np.zeros(1)
+    redundant = gone_along(cell, middles) if cell.given else np.zeros((len(middles), 1))
     arm, limits = arm_numbers(cell), arm_limits(cell)
 
     def part(first: int, last: int) -> None:
-        _price_postures(arm, limits, middles[first:last], redundant, speed, price[first:last])
+        _price_postures(arm, limits, middles[first:last], redundant[first:last], speed, price[first:last])
 
     in_threads(part, len(middles))
     return price
@@ -299,7 +299,7 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
             T_world_nozzle[2, 2] = -1.0
             mul4(arm.T_base_world, T_world_nozzle, T_base_nozzle)
             mul4(T_base_nozzle, arm.T_nozzle_flange, T_base_flange)
-            solve_one(kind, solver, p, redundant, T_base_flange, branch_q, ok)
+            solve_one(kind, solver, p, redundant[v], T_base_flange, branch_q, ok)
             for k in range(slots):
                 if not ok[k]:
                     continue
