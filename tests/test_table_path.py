@@ -15,6 +15,7 @@ from planner.problem import load_problem
 from planner.problem.settings import ResolveSpec
 from planner.resolve import table_path as module
 from planner.resolve.joint_path import leaned, sample_tasks, spread, turned_from
+from planner.resolve.ladder import ladder
 from planner.resolve.prices import (
     BRANCH_PRICE,
     DIP_PRICE,
@@ -245,6 +246,15 @@ def test_the_table_is_planned_for_an_arm_that_goes_along_on_its_track(home_mm: f
     cell, _ = on_track(home_mm)
     tips = cell.arm.poses(cell.home[None, : len(cell.arm)])[0, :3, 3] + np.outer([0.0, 0.7, 1.4], [0.0, 1.0, 0.0])
     assert (_posture_prices(cell, tips, 0.04).min(axis=(1, 2)) < NO_POSTURE_PRICE).all()
+
+
+@pytest.mark.slow
+def test_a_rail_brings_the_arm_to_a_bound_table() -> None:
+    """From 1 m beside it, whence the arm does not reach it."""
+    (cell, settings), task = on_track(500.0), ring(np.radians(12.0), Cones(layer_gravity=np.radians(8.0)))
+    (path,) = ladder(cell, [task], settings)
+    np.testing.assert_allclose(cell.T_part_nozzle(path.q)[:, :3, 3], task.tip, atol=1e-6)
+    assert path.q[:, 0].min() > 0.9
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003])

@@ -21,6 +21,7 @@ from planner.resolve.joint_path import (
     SampledTasks,
     at_rest,
     choose_turns,
+    gone_along,
     leaned,
     least_cone,
     postures,
@@ -381,7 +382,7 @@ def guide_route(
     """The best route on the coarse grid; share: of the print's beads that are guides. Raises Refusal where there is none.
 
     With several chosen joints a full grid would not fit, see `_one_after_the_other`. Where cones about the vertical bind the
-    table, its path is found by `table_path`, and roll and branch alone are searched with it.
+    table, its path is found by `table_path`, and roll, branch and the arm's given joints are searched with it.
     """
     if len(cell.chosen) < 2:
         return _with_one_joint(cell, guides, settings, obstacles, share)
@@ -402,7 +403,12 @@ def guide_route(
             raise none if refusal is None or isinstance(none, Blocked) else refusal from none
         return found
     both = [alone] if found is None else [found, alone]
-    return min(both, key=lambda each: (bool(overwound(cell, each)), each.route.price))
+    return _best(cell, both)
+
+
+def _best(cell: Cell, found: Sequence[LadderRoute]) -> LadderRoute:
+    """The cheapest of routes, rather one that winds no joint too far."""
+    return min(found, key=lambda each: (bool(overwound(cell, each)), each.route.price))
 
 
 def _with_one_joint(
@@ -488,11 +494,30 @@ def _after_table(
     obstacles: Obstacles,
     share: float,
 ) -> LadderRoute:
-    """The best route of heading and branch while the table follows a path that the cones allow."""
+    """The best route of heading and branch while the table follows a path that the cones allow.
+
+    The arm's given joints rest first, or, where that does not do, rails go along with the nozzle; then each is searched in
+    turn, while the others follow the path found before.
+    """
+    k, nh = len(cell.chosen), len(cell.holder)
     held = table_path(cell, guides, demand)
     demand = carried(cell, guides, demand, held)
-    grid = full_grid(demand, cell.inverse.branch_count, settings.roll_step, 1.0, False, None, held)
-    return _best_on(grid, cell, guides, demand, settings, obstacles, share)
+    T = cell.holder.poses(held[:, :nh])
+    tip = np.einsum("nij,nj->ni", T[:, :3, :3], demand.tip[demand.rung]) + T[:, :3, 3]
+    along = np.hstack([held[:, :nh], gone_along(cell, tip)])
+    steps = settings.roll_step, settings.table_step
+    found: list[LadderRoute] = []
+    for swept in (None, *range(nh, k)):
+        grid = full_grid(demand, cell.inverse.branch_count, *steps, swept is not None, swept, held)
+        search = ClearSearch(cell, demand, grid, settings.min_sigma, obstacles)
+        route, stuck = search.best(guides, share)
+        route = route or search.wound
+        if route is not None:
+            found.append(LadderRoute(demand, search.nodes, route))
+        held = _best(cell, found).chosen(k) if found else along
+    if not found:
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+    return _best(cell, found)
 
 
 def _first_look(
