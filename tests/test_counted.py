@@ -14,6 +14,7 @@ from planner.export.fanuc import FANUC
 from planner.export.inform import YASKAWA
 from planner.export.krl import to_kuka
 from planner.export.languages import LANGUAGES
+from planner.export.program import ProblemSetup
 from planner.export.val3 import STAUBLI
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -52,6 +53,24 @@ def test_the_cell_as_counted_is_the_same_arm(name: str, tmp_path: Path) -> None:
     assert (twin.limits.q_min < twin.limits.q_max).all()
     inside = cell.counted(np.random.default_rng(1).uniform(cell.limits.q_min, cell.limits.q_max, (50, 6)))
     assert ((inside >= twin.limits.q_min) & (inside <= twin.limits.q_max)).all()
+
+
+@pytest.mark.parametrize("name", ["KUKA KR 6 R700 sixx", "Fanuc M-10iA"])
+def test_an_arm_on_a_track_is_counted_as_one_that_stands(name: str, tmp_path: Path) -> None:
+    track = "cell.base={robot: track_3m, free: [rail], home_mm: {rail: 1500}}"
+    cell = cell_of(name, tmp_path, track, "cell.base_mm=[100, -50, 30]", "cell.base_rpy_deg=[0, 10, 40]")
+    twin = cell.as_counted
+    assert twin.spherical
+    q = np.random.default_rng(0).uniform(-3, 3, (50, 7))
+    theta = cell.counted(q)
+    np.testing.assert_array_equal(theta[:, 0], q[:, 0])
+    np.testing.assert_allclose(twin.T_part_nozzle(theta), cell.T_part_nozzle(q), rtol=0, atol=1e-12)
+    T_base_flange = np.linalg.inv(twin.T_world_base) @ twin.arm.poses(theta) @ np.linalg.inv(twin.T_flange_nozzle)
+    np.testing.assert_allclose(twin.inverse.poses(theta), T_base_flange, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(twin.inverse.branches(theta), cell.inverse.branches(q))
+    assert (twin.limits.q_min[0], twin.limits.q_max[0]) == (0.0, 3.0)
+    for language in ("krl", "rapid"):
+        assert LANGUAGES[language].unsupported(ProblemSetup(load_problem("peer_cap"), cell)) is None
 
 
 def axes_of(name: str, cell: Cell, q: Array) -> Array:

@@ -191,22 +191,29 @@ class Cell:
         return (*range(self.rails), *range(na, na + len(self.holder)))
 
     @property
+    def own_inverse(self) -> InverseKinematics:
+        """Inverse kinematics of the arm alone, without what carries it."""
+        return self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse
+
+    @property
     def spherical(self) -> bool:
         """Whether the arm's wrist is spherical and its own six joints are those of the usual industrial arm."""
-        return isinstance(self.inverse.arm if isinstance(self.inverse, OnRail) else self.inverse, SphericalWrist)
+        return isinstance(self.own_inverse, SphericalWrist)
 
     @property
     def tells_posture(self) -> bool:
         """Whether a pose and a branch tell a posture as controllers of industrial arms have it: `as_counted` is one of a
         spherical wrist, counted as data sheets do."""
-        return self.spherical or isinstance(self.inverse, PlacedWrist)
+        return isinstance(self.own_inverse, SphericalWrist | PlacedWrist)
 
     def counted(self, q: Array) -> Array:
         """Joints (m, n) of `as_counted` at postures q (m, n)."""
-        if not isinstance(self.inverse, PlacedWrist):
+        placed = self.own_inverse
+        if not isinstance(placed, PlacedWrist):
             return q
-        na = len(self.arm)
-        return np.column_stack([self.inverse.counted(q[:, :na]), q[:, na:]])
+        out = q.copy()
+        out[:, self.own] = placed.counted(q[:, self.own])
+        return out
 
     @property
     def as_counted(self) -> Cell:
@@ -215,29 +222,37 @@ class Cell:
 
         Of the arm's model only speeds are the same: poses are those of the chain `arm`.
         """
-        placed = self.inverse
+        placed, k = self.own_inverse, self.rails
         if not isinstance(placed, PlacedWrist):
             return self
         T_flange_nozzle = placed.T_end_flange @ self.T_flange_nozzle
         others = [replace(one, T_flange_nozzle=placed.T_end_flange @ one.T_flange_nozzle) for one in self.nozzles]
-        T_world_base = self.T_world_base @ placed.T_base_foot
-        own = placed.arm.chain(self.arm.names)
-        placements = np.concatenate([T_world_base[None] @ own.placements[:1], own.placements[1:]])
+        inverse: InverseKinematics = placed.arm
+        if isinstance(self.inverse, OnRail):
+            rail, T_world_base = self.inverse.rail, self.T_world_base
+            T_foot = rail.T_last_tip @ placed.T_base_foot  # on the last joint that carries the arm
+            inverse = replace(self.inverse, arm=placed.arm, rail=replace(rail, T_last_tip=T_foot))
+        else:
+            T_foot = T_world_base = self.T_world_base @ placed.T_base_foot
+        own = placed.arm.chain(self.arm.names[k:])
+        first = T_foot[None] @ own.placements[:1]
+        placements = np.concatenate([self.arm.placements[:k], first, own.placements[1:]])
+        axes = np.concatenate([self.arm.axes[:k], own.axes])
         na, limits = len(self.arm), self.limits
         ends = np.sort([self.counted(each[None])[0] for each in (limits.q_min, limits.q_max)], axis=0)
         return replace(
             self,
-            arm=Chain(own.names, placements, own.axes, own.T_last_tip @ T_flange_nozzle),
+            arm=Chain(self.arm.names, placements, axes, own.T_last_tip @ T_flange_nozzle),
             limits=replace(
                 limits,
                 q_min=np.append(ends[0, :na], limits.q_min[na:]),
                 q_max=np.append(ends[1, :na], limits.q_max[na:]),
             ),
-            inverse=placed.arm,
+            inverse=inverse,
             T_world_base=T_world_base,
             T_flange_nozzle=T_flange_nozzle,
             home=self.counted(self.home[None])[0],
-            arm_robot=replace(self.arm_robot, inverse=placed.arm),
+            arm_robot=replace(self.arm_robot, inverse=inverse),
             nozzles=tuple(others),
         )
 

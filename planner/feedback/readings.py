@@ -11,7 +11,6 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
-from planner.cell.kinematics.inverse import OnRail
 from planner.cell.kinematics.placed_wrist import PlacedWrist
 from planner.export.krl import OFFSETS as KUKA_OFFSETS
 from planner.export.krl import SIGNS as KUKA_SIGNS
@@ -68,7 +67,7 @@ def counting(cell: Cell, language: str) -> JointCounting:
     signs, offsets = np.ones(len(cell.joint_names)), np.zeros(len(cell.joint_names))
     if not language:
         return JointCounting(signs, offsets)
-    inverse = cell.inverse.arm if isinstance(cell.inverse, OnRail) else cell.inverse
+    inverse = cell.own_inverse
     if LANGUAGES[language].counted and isinstance(inverse, PlacedWrist):
         signs[cell.own], offsets[cell.own] = inverse.signs, inverse.offsets
     if language == "krl":
