@@ -10,8 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from solved import small_plan
 
+from planner.cell.cell import build_cell
 from planner.collision.scene import Obstacles
 from planner.plan import Plan
+from planner.problem import load_problem
 from planner.report.page import packed
 from planner.report.roll_map import roll_map_figures, roll_map_section
 from planner.resolve import roll_map as module
@@ -29,6 +31,7 @@ from planner.resolve.roll_map import (
     roll_maps,
     unplanned,
 )
+from planner.toolpath.task import NozzleTask
 
 Array = NDArray[np.float64]
 COLUMNS, ROLLS = 9, 24
@@ -112,6 +115,24 @@ def test_out_of_reach() -> None:
     away = replace(plan.paths[0].task, tip=plan.paths[0].task.tip + np.array([5.0, 0.0, 0.0]))
     found = roll_map(plan.cell, (replace(plan.paths[0], task=away),), columns=3, rolls=8)
     assert (found.why == REACH).all() and np.isnan(found.limit).all() and not found.free.any()
+
+
+def test_metres_to_a_rails_end_are_no_angle() -> None:
+    cell, x = build_cell(load_problem("rail_panel")), np.linspace(0.0, 0.1, 9)
+    tip, frames = np.column_stack([x, 0.0 * x, 0.0 * x]), np.tile(np.diag([1.0, -1.0, -1.0]), (len(x), 1, 1))
+    path = unplanned(cell, NozzleTask(0, "line", 0, tip, frames, x, 0, len(x) - 1, 0.08))
+
+    def map_with(room: float) -> RollMap:
+        low, high = cell.limits.q_min.copy(), cell.limits.q_max.copy()
+        low[0], high[0] = cell.home[0] - room, cell.home[0] + room
+        ending = replace(cell, limits=replace(cell.limits, q_min=low, q_max=high))
+        return roll_map(ending, [path], columns=3, rolls=8)
+
+    found, at_its_end = map_with(1.5), map_with(1e-3)
+    assert found.free.any()
+    np.testing.assert_array_equal(at_its_end.limit, found.limit)
+    np.testing.assert_array_equal(at_its_end.why, found.why)
+    assert not map_with(-1e-3).free.any()
 
 
 def test_the_chosen_roll_is_free_and_has_the_plans_sigma() -> None:

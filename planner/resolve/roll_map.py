@@ -43,7 +43,7 @@ class RollMap(ReadOnlyArrays):
     chosen (m)         the path's own roll in [-pi, pi); NaN where there is no path yet
     why (m, k)         FREE, or the first reason why not: REACH, LIMITS, SINGULAR, COLLISION; see REASONS
     sigma (m, k)       least singular value of the arm's Jacobian (linear rows in metres); NaN out of reach or limits
-    limit (m, k)       least angle from a joint's limit [rad], negative beyond; NaN out of reach
+    limit (m, k)       least angle from the limit of a joint that turns [rad], negative beyond; NaN out of reach
     clearance (m, k)   what is left beyond the clearance that is needed [m], up to CLEAR_ENOUGH; it includes the nozzle's
                        from the print near its tip, so it is small even where all is well. NaN where another reason
                        comes first, or nothing can touch
@@ -171,9 +171,10 @@ def _judged(
     na = len(cell.arm)
     low, high, turns = cell.limits.q_min[:na], cell.limits.q_max[:na], cell.limits.turns[:na]
     arm = arm - np.where(turns, TURN * np.round((arm - 0.5 * (low + high)) / TURN), 0.0)
-    limit = np.minimum(arm - low, high - arm).min(axis=2)
+    room = np.minimum(arm - low, high - arm)
+    limit = room[:, :, turns].min(axis=2)
     limit[~exists] = np.nan
-    why = np.where(exists, np.where(limit < 0.0, LIMITS, FREE), REACH).astype(np.uint8)
+    why = np.where(exists, np.where((room < 0.0).any(axis=2), LIMITS, FREE), REACH).astype(np.uint8)
     sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)
     inside = why == FREE
     sigma[inside] = _sigmas(cell, arm[inside])
@@ -308,13 +309,14 @@ def _columns(paths: Sequence[JointPath], most: int) -> int:
 
 
 def _tightest(cells: Sequence[Cell], paths: Sequence[JointPath]) -> tuple[int, ...]:
-    """Indices of the paths, each in its cell, that come nearest to a singularity and to the end of an arm joint's range, in
-    this order."""
+    """Indices of the paths, each in its cell, that come nearest to a singularity and to the end of the range of an arm joint
+    that turns, in this order."""
     na = len(cells[0].arm)
+    turns = cells[0].limits.turns[:na]
     sigma, limit = [], []
     for cell, path in zip(cells, paths, strict=True):
         arm = path.q[path.task.first : path.task.last + 1, :na]
         jacobians = cell.arm.jacobians(arm[:: max(len(arm) // _FEW, 1)])[:, :, list(cell.solved)]
         sigma.append(least_singular_values(jacobians).min())
-        limit.append(np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm).min())
+        limit.append(np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm)[:, turns].min())
     return tuple(dict.fromkeys((int(np.argmin(sigma)), int(np.argmin(limit)))))
