@@ -28,6 +28,7 @@ from planner.place.rating import course_of, score
 from planner.plan import Plan
 from planner.problem import Problem, load_problem
 from planner.register.finding import scene_of
+from planner.register.fitting import Placement
 from planner.register.places import reachable
 from planner.register.telling import place_words
 from planner.resolve.baselines import fixed
@@ -585,6 +586,15 @@ def test_where_to_touch_on_a_table_that_slides(tmp_path: Path) -> None:
     low, high = here.cell.limits.q_min[6], here.cell.limits.q_max[6]
     assert np.ptp(places.q) > 0.4 * (high - low)
     assert f", rail {places.q[0, 0] * 1e3:.0f} mm, nozzle" in place_words(here, places, 0, here.start)
+
+
+def test_where_to_touch_from_a_track_that_has_to_be_driven_there(tmp_path: Path) -> None:
+    """Both ends of a panel of 2.6 m, in whose middle the track is at home, and its middle from the track's end."""
+    ends = np.array([[-1.25, 0.0, 0.0], [0.0, 0.0, 0.0], [1.25, 0.0, 0.0]])
+    for home in (1500, 0):
+        cell = build_cell(problem(tmp_path, ("{rail: 1500}", f"{{rail: {home}}}")))
+        places = reachable(cell, Placement(cell.T_world_holder, np.zeros(3)), ends, np.tile([0.0, 0.0, 1.0], (3, 1)))
+        np.testing.assert_array_equal(places.points, ends)
 
 
 @pytest.fixture(scope="module")

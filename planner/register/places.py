@@ -90,13 +90,15 @@ def rolls() -> Array:
 
 
 def reached(cell: Cell, placement: Placement, T_part_nozzle: Array, q: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Postures (n, branches, joints) of the arm for nozzle poses (n, 4, 4) on the part, the holder at q (k), and which
-    of them exist within joint limits."""
-    na = len(cell.arm)
+    """Postures (n, m, joints) of the arm for nozzle poses (n, 4, 4) on the part, the holder at q (k), and which of them
+    exist within joint limits: all branches, with the given joints where `_stands` has them."""
+    na, given = len(cell.arm), cell.given
     T_world_part = plate_poses(cell, q[None])[0] @ placement.T_plate_part
     T_world_part[:3, 3] += placement.shift
     T_base_part = rigid_inverse(cell.T_world_base) @ T_world_part
-    postures, exists = cell.inverse.solve(T_base_part @ T_part_nozzle @ rigid_inverse(cell.T_flange_nozzle))
+    T = T_base_part @ T_part_nozzle @ rigid_inverse(cell.T_flange_nozzle)
+    found = [cell.inverse.solve(T, np.tile(at, (len(T), 1)) if given else None) for at in _stands(cell, given)]
+    postures, exists = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
     inside = (postures >= cell.limits.q_min[:na]) & (postures <= cell.limits.q_max[:na])
     return postures, exists & inside.all(axis=2)
 
@@ -110,7 +112,7 @@ _ON = 1e-6  # m: a place no farther off lies on the surface; others are beyond i
 _RIM = 5e-3  # m: no place so close to the lower edge of the body, where what it stands on is in the way
 _CLEAR = (2e-3, 10e-3, 40e-3)  # m above a place where the nozzle is, and the part must not be
 _BESIDE, _BENT = 8e-3, 2e-3  # m to all sides, where the surface is no farther off: a place away from rims and edges
-_ANGLES = 12  # of a free axis, that are tried
+_ANGLES = 12  # of a chosen joint, that are tried
 _APART = 5e-3  # m between places: closer ones tell nothing new of where a touch went wrong
 # Square of the noise of a touch, 0.1 mm, over how well the placement is known before, 10 mm: makes few contacts comparable.
 _ROUGH = (0.1 / 10.0) ** 2
@@ -207,7 +209,8 @@ def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -
     local = np.array([frame_from_z(p, -normal) for p, normal in zip(points, normals, strict=True)])
     turned = (local[:, None] @ rolls()).reshape(-1, 4, 4)
     found: list[tuple[NDArray[np.intp], Array]] = []
-    for q in _holder_angles(cell):
+    na = len(cell.arm)
+    for q in _stands(cell, range(na, na + len(cell.holder))):
         able = reached(cell, placement, turned, q)[1]
         at = np.flatnonzero(able.any(axis=1).reshape(len(points), -1).any(axis=1))
         found.append((at, np.tile(q, (len(at), 1))))
@@ -268,15 +271,14 @@ def _taken(places: TouchPlaces, others: list[int], table: bool) -> NDArray[np.bo
     return out
 
 
-def _holder_angles(cell: Cell) -> list[Array]:
-    """Where the holder's free axes are when places are looked at: home, and each axis turned, or slid, in steps."""
-    na = len(cell.arm)
-    home, low, high = cell.home[na:], cell.limits.q_min[na:], cell.limits.q_max[na:]
+def _stands(cell: Cell, joints: Sequence[int]) -> list[Array]:
+    """Where chosen joints (k) are when places are looked at: home, and each of them turned, or slid, in steps."""
+    home, low, high = (each[list(joints)] for each in (cell.home, cell.limits.q_min, cell.limits.q_max))
     out = [home]
     turns = 2.0 * np.pi * np.arange(1, _ANGLES) / _ANGLES
     turns[turns > np.pi] -= 2.0 * np.pi
-    for k in range(len(home)):
-        slides = na + k in cell.limits.sliding
+    for k, joint in enumerate(joints):
+        slides = joint in cell.limits.sliding
         steps = np.linspace(low[k], high[k], _ANGLES) if slides else home[k] + turns
         for step in steps[(steps >= low[k]) & (steps <= high[k])]:
             q = home.copy()
