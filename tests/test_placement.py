@@ -232,6 +232,13 @@ def test_a_track_follows_as_fast_as_it_is(tmp_path: Path, speed: float, follows:
     assert (score(at_speed, course(problem, tasks), 0.05) > 0.0) == follows
 
 
+def test_the_wrist_of_an_arm_on_a_track_flips_as_any_other(tmp_path: Path) -> None:
+    problem = on_track(tmp_path, 100.0)
+    cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
+    rating = rate(cell, course(problem, tasks), 0.05)
+    assert 0.0 < rating.score * COMFORT[2] - 1e-6 <= rating.wrist < np.pi
+
+
 def test_metres_to_a_tracks_end_are_no_angle(tmp_path: Path) -> None:
     problem = on_track(tmp_path, 100.0)
     cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))

@@ -258,8 +258,8 @@ class Cell:
 
     @property
     def straightens(self) -> bool:
-        """Whether the arm, of six axes, is singular where axes 4 and 6 are parallel."""
-        return len(self.arm) == 6 and not isinstance(self.inverse, SkewWrist)
+        """Whether the arm, of six axes of its own, is singular where axes 4 and 6 are parallel."""
+        return len(self.arm) - self.rails == 6 and not isinstance(self.own_inverse, SkewWrist)
 
     @property
     def straight_at(self) -> float:

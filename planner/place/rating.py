@@ -87,6 +87,7 @@ class MarginsAsked(NamedTuple):
 
     samples (r, m)   whose rates a rung answers for, -1 where there are fewer
     wrist            how joint 5 tells how near the wrist is to its singularity: NO_WRIST, SPHERICAL or OFFSET
+    fifth            index of joint 5 among the arm's
     comfort (3)      sigma, angle to a limit and wrist's angle [rad] that are comfortable
     floor            of these terms over comfort: a posture that is not above it does not count
     upright          least cosine of the layer's normal to the vertical
@@ -95,6 +96,7 @@ class MarginsAsked(NamedTuple):
 
     samples: Ints
     wrist: int
+    fifth: int
     comfort: Array
     floor: float
     upright: float
@@ -174,9 +176,9 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                     room_left = nearest_turns(branch_q[c], middle, q_min, q_max, limits.turns)
                     away, wrist = _least_angle(branch_q[c], q_min, q_max, limits.turns), np.inf
                     if asked.wrist == SPHERICAL:
-                        wrist = abs(branch_q[c, 4])
+                        wrist = abs(branch_q[c, asked.fifth])
                     elif asked.wrist == OFFSET:
-                        wrist = np.arcsin(abs(np.sin(branch_q[c, 4] - asked.straight)))
+                        wrist = np.arcsin(abs(np.sin(branch_q[c, asked.fifth] - asked.straight)))
                     if room_left < limits.room or away <= floor * comfort[1] or wrist <= floor * comfort[2]:
                         continue
                     # a spherical wrist turned over has the same axes, one of them reversed: the same rates and sigma
@@ -429,7 +431,8 @@ def score_of_paths(cell: Cell, paths: Sequence[JointPath]) -> float:
         jacobians = cell.at(task.material).arm.jacobians(q[:, :na])[:, :, list(cell.solved)]
         sigma = float(np.linalg.svd(jacobians, compute_uv=False)[:, -1].min())
         limit = float(np.minimum(q - cell.limits.q_min, cell.limits.q_max - q)[:, cell.limits.turns].min())
-        wrist = float(np.abs(np.arcsin(np.sin(q[:, 4] - cell.straight_at))).min()) if cell.straightens else np.inf
+        bent = q[:, cell.rails + 4] - cell.straight_at
+        wrist = float(np.abs(np.arcsin(np.sin(bent))).min()) if cell.straightens else np.inf
         least = min(least, float((np.array([sigma, limit, wrist]) / COMFORT).min()))
         ideal += float(task.s[task.last] - task.s[task.first]) / task.speed
         bound += bound_time(cell, path)
@@ -481,11 +484,12 @@ def _postures(
     swept = swept_joint(cell, index, held)
     wrist = NO_WRIST if not cell.straightens else (SPHERICAL if cell.spherical else OFFSET)
     cone = min(demand.cones.layer_gravity, demand.cones.tilt + demand.cones.nozzle_gravity)
+    upright = float(np.cos(min(cone, np.pi)) - 1e-9)
     q = np.zeros((r, grid.rolls, grid.holders, cell.inverse.branch_count, na), dtype=np.float32)
     terms = np.zeros((r, grid.rolls, grid.holders, cell.inverse.branch_count, 4), dtype=np.float32)
     arguments = (
         arm_numbers(cell), arm_limits(cell), swept, grid.numbers, rung_numbers(demand), obstacles.table,
-        MarginsAsked(course.samples, wrist, COMFORT, float(floor), float(np.cos(min(cone, np.pi)) - 1e-9), cell.straight_at),
+        MarginsAsked(course.samples, wrist, cell.rails + 4, COMFORT, float(floor), upright, cell.straight_at),
         MarginsFilled(q, terms, course.lacking),
     )  # fmt: skip
     in_threads(lambda first, last: evaluate_margins(first, last, *arguments), r)
