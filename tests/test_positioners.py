@@ -193,6 +193,11 @@ def test_joints_of_two_arms_of_one_kind_are_told_apart(folder: Path) -> None:
         ("cell.positioner.home_deg={joint_2: 0}", "home_deg.joint_2", "held_deg"),
         ("cell.positioner.home_deg={joint_1: 171}", "home_deg.joint_1", "-170 to 170"),
         ("cell.positioner.held_deg={joint_2: 136}", "held_deg.joint_2", "-100 to 135"),
+        (
+            "cell.positioner={robot: panda, base_mm: [1200, 0, 0], free: []}",
+            "held_deg.panda_joint4",
+            "0, its default, is outside its range (-176 to -4 deg)",
+        ),
         ("cell.limits={joint_8: {speed_deg_s: 7}}", "cell.limits.joint_8", "no such joint"),
     ],
 )

@@ -457,8 +457,8 @@ def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, flo
         named = "held_mm" if slides[name] else "held_deg"
         # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
         out[name] = at = given[named].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
-        if name in given[named] and not low - _ROUNDING <= at <= high + _ROUNDING:
-            reason = "it is outside the axis' range"
+        if not low - _ROUNDING <= at <= high + _ROUNDING:
+            reason = "it is outside the axis' range" if name in given[named] else "0, its default, is outside its range"
             raise problem.error(f"cell.positioner.{named}.{name}", reason, in_words(low, high, slides[name]))
     return out
 
