@@ -198,6 +198,11 @@ def test_joints_of_two_arms_of_one_kind_are_told_apart(folder: Path) -> None:
             "held_deg.panda_joint4",
             "0, its default, is outside its range (-176 to -4 deg)",
         ),
+        (
+            "cell.limits={positioner_joint_2: {range_mm: [0, 10]}}",
+            "cell.limits.positioner_joint_2",
+            "this joint turns",
+        ),
         ("cell.limits={joint_8: {speed_deg_s: 7}}", "cell.limits.joint_8", "no such joint"),
     ],
 )
@@ -206,6 +211,15 @@ def test_mistakes_are_told_with_their_field(folder: Path, override: str, field: 
         build_cell(problem_of(folder, CELLS["arm_some"], override))
     assert field in str(caught.value)
     assert words in str(caught.value)
+
+
+def test_a_held_axis_may_have_a_range_of_ones_own(folder: Path) -> None:
+    beyond = "cell.positioner.held_deg={joint_2: 136}"
+    own = "cell.limits={positioner_joint_2: {range_deg: [-100, {}]}}"
+    cell = build_cell(problem_of(folder, CELLS["arm_some"], beyond, own.replace("{}", "140")))
+    assert cell.held["joint_2"] == pytest.approx(np.radians(136.0))
+    with pytest.raises(InputError, match="-100 to 120 deg"):
+        build_cell(problem_of(folder, CELLS["arm_some"], beyond, own.replace("{}", "120")))
 
 
 # Plans

@@ -21,7 +21,7 @@ from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
 from planner.problem import Problem
-from planner.problem.cell import CellSpec, PositionerSpec
+from planner.problem.cell import CellSpec, JointLimitsSpec, PositionerSpec
 
 REVOLUTION = 2.0 * np.pi
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
@@ -341,7 +341,7 @@ def build_cell(problem: Problem) -> Cell:
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 6)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
-        held = _held(problem, spec.positioner, holder_robot)
+        held = _held(problem, spec.positioner, holder_robot, arm)
         T_plate_part[:3, :3] = pin.rpy.rpyToMatrix(*spec.positioner.part_rpy)
         T_plate_part[:3, 3] = spec.positioner.part
         T_world_holder_base = _holder_base(spec.positioner, holder_robot)
@@ -429,9 +429,9 @@ def _nozzle_of(problem: Problem) -> dict[str, int]:
     return {name: names.index(spec.nozzle) for name, spec in problem.process.materials.items() if spec.nozzle}
 
 
-def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, float]:
+def _held(problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain) -> dict[str, float]:
     """Angles [rad] and places [m] of the axes that are not free, by name; InputError for names and values that the robot
-    has not."""
+    has not, within the ranges of `cell.limits` where these are given."""
     axes, slides = robot.joint_names, dict(zip(robot.joint_names, robot.slides, strict=True))
     given = {"held_deg": spec.held, "held_mm": spec.held_mm, "home_deg": spec.home, "home_mm": spec.home_mm}
     for named, names in {"free": spec.free, **given}.items():
@@ -453,7 +453,10 @@ def _held(problem: Problem, spec: PositionerSpec, robot: Robot) -> dict[str, flo
     for i, name in enumerate(axes):
         if name in spec.free:
             continue
-        low, high = float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i])
+        called = _in_cell(name, arm)
+        own = problem.cell.limits.get(called)
+        range_ = None if own is None else _given_limits(problem, called, own, slides[name])[0]
+        low, high = range_ or (float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i]))
         named = "held_mm" if slides[name] else "held_deg"
         # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
         out[name] = at = given[named].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
@@ -474,12 +477,36 @@ def _holder_base(spec: PositionerSpec, robot: Robot) -> Array:
 
 
 def _joint_names(arm: Chain, holder: Chain) -> tuple[str, ...]:
-    return arm.names + tuple(f"positioner_{name}" if name in arm.names else name for name in holder.names)
+    return arm.names + tuple(_in_cell(name, arm) for name in holder.names)
+
+
+def _in_cell(name: str, arm: Chain) -> str:
+    """What an axis of whatever holds the part is called among the cell's joints."""
+    return f"positioner_{name}" if name in arm.names else name
+
+
+def _given_limits(
+    problem: Problem, name: str, own: JointLimitsSpec, slides: bool
+) -> tuple[tuple[float, float] | None, tuple[float | None, ...]]:
+    """Range, and greatest speed, acceleration and jerk of a joint, as far as `cell.limits` gives them; InputError where they
+    are those of a joint of the other kind."""
+    ways = {
+        False: (own.range, own.speed, own.acceleration, own.jerk),
+        True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
+    }
+    if any(value is not None for value in ways[not slides]):
+        way, keys = ("slides", "range_mm, speed_mm_s, acceleration_mm_s2, jerk_mm_s3") if slides else (
+            "turns", "range_deg, speed_deg_s, acceleration_rad_s2, jerk_rad_s3"
+        )  # fmt: skip
+        raise problem.error(f"cell.limits.{name}", f"this joint {way}", f"its limits are {keys}")
+    range_, *rates = ways[slides]
+    return range_, tuple(rates)
 
 
 def _limits(
     problem: Problem, spec: CellSpec, arm_robot: Robot, arm: Chain, holder_robot: Robot | None, holder: Chain
 ) -> Limits:
+    """Limits of all joints that move; those of an axis that holds the part still are looked at by `_held`."""
     rows = []
     for robot, chain in ((arm_robot, arm), (holder_robot, holder)):
         if robot is None:
@@ -492,23 +519,18 @@ def _limits(
     table = np.array(rows)
     names = list(_joint_names(arm, holder))
     sliding = tuple(np.flatnonzero(np.concatenate([arm.slides, holder.slides])).tolist())
+    still = () if holder_robot is None else (_in_cell(name, arm) for name in holder_robot.joint_names)
+    held = set(still) - set(names)
     for name, own in spec.limits.items():
+        if name in held:
+            continue
         if name not in names:
             near = nearest_name(name, names)
             hint = f"did you mean {near}?" if near else f"joints: {', '.join(names)}"
             raise problem.error(f"cell.limits.{name}", "no such joint", hint)
         j = names.index(name)
-        ways = {
-            False: (own.range, own.speed, own.acceleration, own.jerk),
-            True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
-        }
-        if any(value is not None for value in ways[j not in sliding]):
-            way, keys = ("slides", "range_mm, speed_mm_s, acceleration_mm_s2, jerk_mm_s3") if j in sliding else (
-                "turns", "range_deg, speed_deg_s, acceleration_rad_s2, jerk_rad_s3"
-            )  # fmt: skip
-            raise problem.error(f"cell.limits.{name}", f"this joint {way}", f"its limits are {keys}")
         row = table[j]
-        range_, *rates = ways[j in sliding]
+        range_, rates = _given_limits(problem, name, own, j in sliding)
         if range_ is not None:
             row[:2] = range_
         for k, value in enumerate(rates, 2):
