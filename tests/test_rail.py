@@ -34,7 +34,7 @@ from planner.register.telling import place_words
 from planner.resolve.baselines import fixed
 from planner.resolve.drawn import postures_drawn
 from planner.resolve.follow import PosturesFollowed, follow
-from planner.resolve.infeasible import _postures_at
+from planner.resolve.infeasible import _directions, _postures_at
 from planner.resolve.joint_path import at_rest
 from planner.resolve.ladder import _rest_angles, _with_one_joint, coarse_grid, paths_of
 from planner.resolve.reach import looked_at
@@ -234,6 +234,11 @@ def test_home_and_limits_are_those_of_both(carried: dict[str, Cell]) -> None:
     assert both.limits.sliding == (0,)
     np.testing.assert_allclose(swing.home[0], np.radians(-20))
     assert track.arm_robot.name == "ABB IRB 1600-x/1.2 on linear track of 3 m"
+
+
+def test_a_part_is_moved_towards_where_the_arm_is_at_home(carried: dict[str, Cell]) -> None:
+    way = _directions(carried["track"], np.zeros(3))["towards the arm's base"]
+    np.testing.assert_allclose(way, [0.0, -1.0, 0.0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ("lift", "swing", "both"))

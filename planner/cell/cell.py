@@ -277,6 +277,13 @@ class Cell:
             raise Refusal(f"this cannot be done yet with {self.arm_robot.name}: its wrist is not spherical")
         return self.inverse
 
+    @property
+    def T_world_foot(self) -> Array:
+        """Where the arm stands (4, 4) at home: its base, or where what carries it has that."""
+        if not isinstance(self.inverse, OnRail):
+            return self.T_world_base
+        return np.asarray(self.T_world_base @ self.inverse.rail.poses(self.home[None, : self.rails])[0])
+
     def flange_of_second_arm(self, q: Array) -> Array:
         """Its poses in the world (m, 4, 4), at the free joints q (m, k) of what moves the part."""
         return self.holder.poses(q) @ rigid_inverse(self.T_plate_part[None])

@@ -294,9 +294,9 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
 
 
 def _directions(cell: Cell, point: Array) -> dict[str, Array]:
-    """Unit vectors (3) in the world by name, as seen from a point of the part with the holder at home."""
+    """Unit vectors (3) in the world by name, as seen from a point of the part with everything at home."""
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
-    to_base = cell.T_world_base[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
+    to_base = cell.T_world_foot[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
     level = np.array([to_base[0], to_base[1], 0.0])
     length = float(np.linalg.norm(level))
     nearer = level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
@@ -457,7 +457,8 @@ def refuse_rung(
             beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
             if beyond is not None:  # here the path comes near to what stops it there
                 refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
-            slid = f" ({1e3 * room:g} mm of one that slides)" if cell.rails else ""
+            slides = any(j < na for j in cell.limits.sliding)
+            slid = f" ({1e3 * room:g} mm of one that slides)" if slides else ""
             reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"
             refuse(reason + slid, tried.best(inner.min(axis=2)), ends=ends)
         sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
