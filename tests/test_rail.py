@@ -380,6 +380,15 @@ def test_a_rail_beyond_its_end_fails(plan: Plan) -> None:
 
 
 @pytest.mark.slow
+def test_a_carriage_away_from_home_is_told_in_millimetres(plan: Plan) -> None:
+    cell = replace(plan.cell, home=plan.cell.home + 0.1 * (np.arange(8) == 0))
+    found = {check.name: check for check in verify(plan.problem, cell, plan.toolpath, plan.trajectory).checks}
+    at_home = found["starts and ends at home"]
+    assert (at_home.ok, at_home.unit) == (False, "mm")
+    np.testing.assert_allclose(at_home.worst, 100.0, atol=1e-6)
+
+
+@pytest.mark.slow
 def test_plan_json_says_what_slides_and_its_screws_give_every_pose(plan: Plan) -> None:
     cell = json.loads(plan_json(plan))["cell"]
     assert [joint["type"] for joint in cell["joints"]] == ["prismatic"] + 7 * ["revolute"]

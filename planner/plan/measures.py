@@ -302,11 +302,13 @@ CHECKS: dict[str, Measure] = {
     "nozzles changed at home": Measure(
         "deg",
         "the arm is at home where another nozzle comes into use",
-        "joints of the samples at which another material is selected",
+        "joints of the samples at which another material is selected; in mm where a rail is farthest off",
         "cell.nozzles are several",
     ),
     "starts and ends at home": Measure(
-        "deg", "the arm starts at home and comes back there", "joints of the first and the last sample"
+        "deg",
+        "the arm starts at home and comes back there",
+        "joints of the first and the last sample; in mm where a rail is farthest off",
     ),
     "joint range": Measure(
         "deg", "every joint stays within its range", "distance from the nearer end, over all samples"

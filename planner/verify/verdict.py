@@ -192,22 +192,25 @@ def _layers_around(judged: Judged) -> NDArray[np.int64]:
 
 def _home(judged: Judged) -> Check:
     """The arm starts at home and comes back there; the positioner starts where the first bead wants it."""
-    t, arm = judged.trajectory, len(judged.cell.arm)
-    off = np.zeros(len(t))
-    for k in (0, -1):
-        off[k] = max(off[k], np.abs(t.q[k, :arm] - judged.cell.home[:arm]).max())
-    return check_most(t, "starts and ends at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
+    return _at_home(judged, "starts and ends at home", [0, len(judged.trajectory) - 1])
 
 
 def _nozzles(judged: Judged) -> Iterator[Check]:
     """The check that the arm is at home where another nozzle comes into use."""
-    t, arm = judged.trajectory, len(judged.cell.arm)
-    if not judged.cell.nozzles:
-        return
+    if judged.cell.nozzles:
+        yield _at_home(judged, "nozzles changed at home", [rows.start for _, rows in judged.stretches[1:]])
+
+
+def _at_home(judged: Judged, name: str, samples: list[int]) -> Check:
+    """The check that the arm is at home at some samples: in degrees, or in mm where a joint that slides is farthest off."""
+    t, cell, arm = judged.trajectory, judged.cell, len(judged.cell.arm)
+    away, turns = np.abs(t.q[samples, :arm] - cell.home[:arm]), cell.limits.turns[:arm]
+    turned, slid = (away[:, kind].max(axis=1, initial=0.0) for kind in (turns, ~turns))
+    slides = slid.max(initial=0.0) > turned.max(initial=0.0)
+    scale, unit = (1e3, "mm") if slides else (float(np.degrees(1.0)), "deg")
     off = np.zeros(len(t))
-    for _, rows in judged.stretches[1:]:
-        off[rows.start] = np.abs(t.q[rows.start, :arm] - judged.cell.home[:arm]).max()
-    yield check_most(t, "nozzles changed at home", np.degrees(off), float(np.degrees(AT_HOME)), "deg")
+    off[samples] = slid if slides else turned
+    return check_most(t, name, scale * off, scale * AT_HOME, unit)
 
 
 def joint_limits(judged: Judged) -> Findings:
