@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,6 +23,7 @@ from planner.base.errors import InputError
 from planner.export.extruder import FILE, differences, gcode
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
+from planner.motion.visits import visits
 from planner.plan import Event, Plan
 from planner.planning.check_command import one_layer
 from planner.planning.pipeline import solve
@@ -69,6 +71,18 @@ def by_layer() -> Plan:
     """The small print in three layers with all that can be asked of layers, solved once."""
     with tempfile.TemporaryDirectory() as folder:
         return solve_alone(load_problem(write_small(Path(folder), THREE, (SPEED, ALL))))
+
+
+def test_a_layer_that_was_begun_before_the_rest_is_not_begun_again() -> None:
+    """Beads of layers 1 and 3 in turn: the pause before layer 3 is over when the last two are printed alone."""
+    problem, toolpath = toolpath_of(SPEED + PAUSE)
+    of_layer = [[bead for bead in toolpath.beads if bead.layer == layer] for layer in (0, 2)]
+    beads = [bead for pair in zip(*of_layer, strict=True) for bead in pair][:4]
+    timed: list[Any] = [None] * 4  # nobody asks how long they take
+    assert {i: visit.pause for i, visit in visits(problem.process, beads, timed).items()} == {
+        1: problem.process.pauses[0]
+    }
+    assert visits(problem.process, beads, timed[:2]) == {}
 
 
 def failed(plan: Plan) -> set[str]:

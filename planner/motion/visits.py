@@ -50,7 +50,7 @@ def visits(process: ProcessSpec, beads: Sequence[Bead], timed: Sequence[TimedPat
     before, least = len(beads) - len(timed), 0.0 if process.layer_time is None else process.layer_time.least - _SLIGHT
     pauses = {pause.before_layer - 1: pause for pause in process.pauses}
     found: dict[int, Visit] = {}
-    first, seen = before, {beads[before].layer}
+    first, seen = before, {bead.layer for bead in beads[: before + 1]}
     laying = _laying(timed[0], beads[before]) if least else 0.0
     for i in range(before + 1, len(beads)):
         bead, path = beads[i], timed[i - before]
