@@ -9,6 +9,7 @@ from html import unescape
 from importlib.metadata import distribution
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -719,6 +720,21 @@ def test_failure_report_says_why_where_and_what_to_change(tmp_path: Path) -> Non
     others, red = (points(lines) for lines in scene["still"])
     assert red[:, 2] == pytest.approx(0.026) and 0.026 not in others[:, 2].round(6).tolist()
     assert len(others) == 5 * 200 and scene["cell"] is None and scene["lines"] is None
+
+
+@pytest.mark.parametrize(
+    ("positioner", "key"),
+    [(None, "cell.bed_mm"), (SimpleNamespace(base=np.zeros(3)), "cell.positioner.base_mm")],
+    ids=("bed", "base"),
+)
+def test_a_refusal_names_the_keys_that_the_problem_has(tmp_path: Path, positioner: Any, key: str) -> None:
+    problem = make_problem()
+    problem.cell = SimpleNamespace(positioner=positioner)
+    nothing: dict[str, Any] = {"toolpath": None, "bead": None, "point_mm": None, "facts": {}}
+    write_failure_report(tmp_path / "f.html", problem=problem, strategy="ladder", message="no", **nothing)
+    words = visible(tmp_path / "f.html")
+    assert key in words and "origin_mm" not in words
+    assert ("cell.positioner.free" in words) == (positioner is not None)
 
 
 def test_failure_report_without_any_bead(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,11 +20,6 @@ if TYPE_CHECKING:
 
 # What a user can turn, by field of the problem file, and what it does: true of every refusal.
 LEVERS = (
-    (
-        "cell.positioner.origin_mm or cell.bed_mm",
-        "Move the part: nearer when out of reach, away when the arm folds up.",
-    ),
-    ("cell.positioner.free", "Free another axis of the positioner, so that it can bring the place to the arm."),
     ("cell.nozzle", "A nozzle that stands at an angle to the flange keeps the wrist away from its singularity."),
     ("cell.home_deg", "Start from a posture on another branch of the arm."),
     (
@@ -35,6 +30,18 @@ LEVERS = (
     ("process.corner_tolerance_mm", "Round corners more, if they ask too much of a joint."),
     ("strategy", "as_published and fixed leave the search little freedom; ladder and sqp use all of it."),
 )
+
+
+def _levers(problem: Any) -> Iterator[tuple[str, str]]:
+    """What the user of this problem can turn, and what it does."""
+    positioner = problem.cell.positioner
+    place = "cell.bed_mm"
+    if positioner is not None:
+        place = f"cell.positioner.{'origin_mm' if positioner.base is None else 'base_mm'}"
+    yield place, "Move the part: nearer when out of reach, away when the arm folds up."
+    if positioner is not None:
+        yield "cell.positioner.free", "Free another axis of the positioner, so that it can bring the place to the arm."
+    yield from LEVERS
 
 
 def write_failure_report(
@@ -93,7 +100,7 @@ def write_failure_report(
         places=[(ReportPlace(each["letter"], "fail", each["what"], each["where"], -1), None) for each in marks],
         advice=advice,
         hints=hints,
-        levers=LEVERS,
+        levers=tuple(_levers(problem)),
     )
     page.write_text(Path(path), text)
 
