@@ -25,7 +25,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint
 from planner.base.files import read_text
 from planner.problem import Problem
-from planner.toolpath.bead import Bead, Toolpath
+from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.plane_paths import arc_length
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")  # of a map's file, and more that is for people
@@ -210,7 +210,37 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
     )
     if problem.process.extruder.motor == "on_off":
         note += "; its motor is on or off, so that flow follows from bead to bead only, not within one"
-    return replace(toolpath, beads=beads, notes=(*toolpath.notes, note))
+    surface = ScannedSurface(
+        toolpath.surface, tuple(bead.s for bead in beads), tuple(bead.s for bead in toolpath.beads)
+    )
+    return replace(toolpath, beads=beads, surface=surface, notes=(*toolpath.notes, note))
+
+
+@dataclass(frozen=True)
+class ScannedSurface:
+    """The surface beneath a toolpath whose beads were moved to where a print is: arc lengths of each bead's samples as it is
+    laid, and as it was drawn [m]."""
+
+    surface: Surface
+    laid: tuple[Array, ...]
+    drawn: tuple[Array, ...]
+
+    def signed_distance(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.signed_distance(points)
+
+    def normals(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.normals(points)
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Normals on which a bead was drawn, at the same samples."""
+        laid, drawn = self.laid[bead], self.drawn[bead]
+        return self.surface.normals_on(bead, s + np.interp(s, laid, drawn - laid), tips)
+
+    def before(self, bead: int) -> Surface:
+        """The surface when so many beads have been printed."""
+        return self.surface.before(bead)
 
 
 def _moved(problem: Problem, field: DeviationField, bead: Bead) -> Bead:
