@@ -276,6 +276,14 @@ def test_lost_beads_and_layers(name: str) -> None:
     assert LEFT in failed(found(problem, toolpath, [cut, *toolpath.beads[1:]]))
 
 
+def test_what_is_left_out_is_in_a_layer_counted_from_one() -> None:
+    problem, toolpath = print_of("ball")
+    lost = max((bead for bead in toolpath.beads if bead.layer == 1), key=lambda bead: bead.length)
+    fewer = [bead for bead in toolpath.beads if bead is not lost]
+    (left,) = (check for check in found(problem, toolpath, fewer).checks if check.name == LEFT)
+    assert not left.ok and left.where.startswith("layer 2, ")
+
+
 def test_a_loss_is_excused_only_by_the_note_that_names_it() -> None:
     """A bead is cut short by some 0.7 % of its layer: other notes and lines in red do not help, nor a note of a lesser loss."""
     problem, toolpath = print_of("ball")

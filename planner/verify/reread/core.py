@@ -209,7 +209,7 @@ def _left_out(
         share = float(weight[lost].sum() / max(weight[there].sum(), _FEW))
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
-            where = f"layer {k}, at {spot[0]:.1f}, {spot[1]:.1f} mm"
+            where = f"layer {k + 1}, at {spot[0]:.1f}, {spot[1]:.1f} mm"
     # what notes tell of is in pieces that are not asked for
     return Check(WHOLE, worst, _ENDS, "of its length", worst <= _ENDS, where)
 

@@ -133,7 +133,7 @@ def filled(places: Places, asked: Mapping[int, AskedPlaces], may: float, corners
         share = float(wanted.area[lost].sum() / wanted.whole)
         if share > most:
             most, spot = share, wanted.points[lost][np.argmax((away - wanted.near)[lost])] * 1e3
-            where = "layer {}, at {:.1f}, {:.1f}, {:.1f} mm".format(layer, *spot)
+            where = "layer {}, at {:.1f}, {:.1f}, {:.1f} mm".format(layer + 1, *spot)
     if may > 0.0:
         most = total / max(whole, 1e-300)
     limit = may + corners

@@ -310,7 +310,7 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
         share = float(weight[lost].sum() / weight.sum())
         if share > worst:
             worst, spot = share, dots[np.argmax(lost)] * 1e3
-            where = f"layer {layer}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
+            where = f"layer {layer + 1}, {spot[0]:.1f}, {spot[1]:.1f} mm from the drawing's middle"
     limit = may_be_left(judged, judged.problem.layers.source.crumbs)  # type: ignore[union-attr]
     return Check(WHOLE, worst, limit, "of its length", worst <= limit, where)
 
