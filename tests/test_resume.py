@@ -27,6 +27,7 @@ from planner.motion.trajectory import join
 from planner.motion.travel.plan import plan_travels
 from planner.plan import Plan, Trajectory
 from planner.planning.pipeline import solve, write
+from planner.planning.short_runs import dips_in_a_run
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.report.scene import plan_scene
@@ -36,7 +37,7 @@ from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
-from planner.verify.verdict import verify
+from planner.verify.verdict import Report, verify
 
 TWO_LAYERS = ("  count: 1\n", "  count: 2\n")
 PROCESS = (
@@ -241,6 +242,24 @@ def test_a_rest_with_beads_that_may_be_cut_is_searched_once(tmp_path: Path, monk
     rest = solve(problem, "counted", first_bead=1, baseline=False)
     assert rest.verified and rest.first_bead == 1
     assert searched == ["ladder"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pieces", ["false", "true"])
+def test_what_is_asked_of_a_plan_is_asked_of_the_whole_print(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pieces: str
+) -> None:
+    """Runs that dip, or clearance that lacks, in a bead before the rest: the rest follows what was decided by that."""
+    begun: list[int] = []
+
+    def looked(trajectory: Trajectory, report: Report) -> str:
+        begun.append(trajectory.first_bead)
+        return dips_in_a_run(trajectory, report)
+
+    monkeypatch.setattr(planner.planning.pipeline, "dips_in_a_run", looked)
+    problem = load_problem(write_small(tmp_path), [f"process.split_beads={pieces}"])
+    rest = solve(problem, "ladder", first_bead=1, baseline=False)
+    assert (rest.first_bead, begun) == (1, [0])
 
 
 @pytest.mark.parametrize("first_bead", [BEADS, -1])

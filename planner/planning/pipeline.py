@@ -185,20 +185,25 @@ def solve(
 
         def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
             if pieces:
-                return _planned_in_pieces(strategy, given, dt, stages, shared, first_bead)
+                return _planned_in_pieces(strategy, given, dt, stages, shared)
             return _planned(strategy, given, dt, stages, shared, over)
 
         try:
             if toolpath.beads[0].round:
                 check_upright(given)
-            (given, planned, maps), nearer = _as_can_be(strategy, given, print_of, stages, over)
-        except Refusal as found:
-            refusal = _by_what_stands_there(given, found)
+            all_of_it = replace(given, first_bead=given.printed)
+            found, nearer = _as_can_be(strategy, all_of_it, print_of, stages, over)
+            begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
+            if begin != found[0].first_bead:
+                found = _rest_of(strategy, found, begin, dt, stages, shared)
+        except Refusal as refused:
+            refusal = _by_what_stands_there(given, refused)
             again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
             best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
             elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
             refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
             raise refusal from None
+        given, planned, maps = found
         problem, toolpath = given.problem, given.toolpath
         if nearer is not None:
             toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
@@ -272,7 +277,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     given = context_of(problem, build_cell(problem), toolpath)
     shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
     if problem.process.split_beads:
-        return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared, 0)[1].report
+        return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
     return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
 
 
@@ -342,7 +347,7 @@ def _as_can_be(
     stages: Stages,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """What is planned as `_as_clear_as_can_be`; where an upright nozzle has no way, with one that leans within its cone, and
+    """The whole print, planned as `_as_clear_as_can_be`; where an upright nozzle has no way, with one that leans within its cone, and
     where there is none as far from the ends of joints' ranges as searches keep, nearer to them, if that gives a verified
     plan. Raises Refusal."""
     try:
@@ -417,8 +422,7 @@ def _planned(
 ) -> Planned:
     """The plan of a strategy, of the default one the best of all strategies'. Raises Refusal.
 
-    Samples and strategy are decided on the whole print, also where the rest of it is resumed. Where a plan is off its path
-    between samples, these are set finer and all is planned again, in so many rounds at most.
+    Where a plan is off its path between samples, these are set finer and all is planned again, in so many rounds at most.
 
     off (beads): how far the plan of the round before is off, in tolerances
     """
@@ -430,10 +434,6 @@ def _planned(
     def maps_of(planned: PlannedPaths) -> tuple[RollMap, ...]:
         return roll_maps(given.cell, planned.paths[given.laid], given.obstacles, min_sigma)
 
-    if given.first_bead > given.printed:
-        begun = replace(given, first_bead=given.printed)
-        whole = _planned(strategy, begun, dt, stages, shared, over, rounds)
-        return _rest_of(strategy, whole, given.first_bead, dt, stages, shared)
     own, refusal, mapped = None, None, None
     try:
         if others:
@@ -480,11 +480,9 @@ def _rest_of(strategy: str, whole: Planned, first_bead: int, dt: float, stages: 
     return given, planned, maps
 
 
-def _planned_in_pieces(
-    strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool, first_bead: int
-) -> Planned:
-    """As `_planned`, of the whole print as it is drawn, or with beads in pieces where it is refused so or not verified; and
-    what was planned. Raises InputError where that has no such bead."""
+def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages: Stages, shared: bool) -> Planned:
+    """As `_planned`, of the print as it is drawn, or with beads in pieces where it is refused so or not verified; and what
+    was planned."""
     drawn = given
     refusal, whole = None, None
     try:
@@ -506,9 +504,6 @@ def _planned_in_pieces(
             whole = again
     if whole is None:
         raise refusal or RuntimeError("no plan and no refusal")
-    first_bead = _above_what_is_printed(given.problem, whole[0].toolpath, first_bead)
-    if first_bead != whole[0].first_bead:
-        whole = _rest_of(strategy, whole, _within(first_bead, whole[0].toolpath), dt, stages, shared)
     return whole
 
 
