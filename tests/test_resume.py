@@ -262,6 +262,13 @@ def test_what_is_asked_of_a_plan_is_asked_of_the_whole_print(
     assert (rest.first_bead, begun) == (1, [0])
 
 
+@pytest.mark.slow
+def test_the_baseline_of_a_rest_that_may_be_in_pieces_is_of_that_rest(tmp_path: Path) -> None:
+    plan = solve(load_problem(write_small(tmp_path), ["process.split_beads=true"]), "ladder", first_bead=1)
+    (metrics,) = plan.baseline.values()
+    assert metrics["deposited_length_mm"] == pytest.approx(plan.metrics["deposited_length_mm"])
+
+
 @pytest.mark.parametrize("first_bead", [BEADS, -1])
 def test_a_bead_that_is_not_there_is_refused_with_the_range(first_bead: int) -> None:
     with pytest.raises(InputError, match=rf"no bead {first_bead} to begin with \(a number from 0 to 5\)"):

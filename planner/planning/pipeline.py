@@ -180,7 +180,8 @@ def solve(
     if compared and len(toolpath.beads) > MOST_COMPARED:
         compared = False
         stages.tell(f"more than {MOST_COMPARED:,} beads: not compared with {BASELINE}")
-    with _baseline_beside(compared, given, dt, second_process) as baseline_metrics:
+    late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
+    with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
         shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
 
         def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
@@ -214,7 +215,7 @@ def solve(
             whole = given.first_bead == 0 and strategy == DEFAULT and baseline and not draft
             advice = advise(given, planned.paths, trajectory, dips) if whole else ()
         with stages.stage("baseline"):
-            of_baseline = baseline_metrics()
+            of_baseline = _baseline(given, dt) if compared and late else baseline_metrics()
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
