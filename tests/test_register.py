@@ -12,11 +12,13 @@ import pytest
 from contact_files import MOVED, PART, TURNED, apart, chosen, contacts, scene, scratch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from solved import write_small
+from test_nozzles import TWO
 
 from benchmarks import registration
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
-from planner.cell.cell import build_cell
+from planner.cell.cell import build_cell, frame_from_z
 from planner.cell.kinematics.inverse import track
 from planner.problem import load_problem, shipped_problems
 from planner.problem.rewrite import write_changed
@@ -25,6 +27,7 @@ from planner.register.command import main
 from planner.register.contacts import locate, plate_poses, read_readings, settled
 from planner.register.finding import Ask, as_published, plan_contacts, register, scene_of, suggest_next
 from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
+from planner.register.places import reached, rolls
 from planner.register.telling import changes_of, published_lines, rpy_degrees
 
 Array = NDArray[np.float64]
@@ -665,3 +668,23 @@ def test_parts_that_are_refused_count_as_told_of_neither_way(tmp_path: Path, mon
     case = registration.CASES[0]
     assert registration.row_of(case, 2, 0.0, tmp_path)[-2:] == ["0.0 %", "50 %"]
     assert registration.row_of(case, 1, 0.0, tmp_path)[-2:] == ["", "100 %"]
+
+
+@pytest.mark.slow
+def test_joints_are_those_of_the_nozzle_that_touches(tmp_path: Path) -> None:
+    problem = load_problem(write_small(tmp_path, *TWO))
+    here = scene_of(problem, "tPva")
+    truth = misplaced(here, (2.0, -1.0))
+    places, best = plan_contacts(here, PART, 9)
+    joints = []
+    for k in best:
+        poses = frame_from_z(places.points[k], -places.normals[k]) @ rolls()
+        postures, able = reached(here.cell, truth, poses, places.q[k])
+        joints.append(np.degrees([*postures[able][0], *places.q[k]]))
+    columns = dict(zip(here.cell.joint_names, np.array(joints).T, strict=True))
+    file = write_contacts(tmp_path / "joints.csv", columns)
+    assert apart(truth, register(here, file, PART).fit.placement)[0] < 1e-6
+    with pytest.raises(InputError, match="--nozzle, one of tPla, tPva"):
+        register(scene_of(problem), file, PART)
+    with pytest.raises(InputError, match="did you mean tPva"):
+        scene_of(problem, "tPvb")

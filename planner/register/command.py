@@ -56,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     target = options.out or Path(f"{problem.file.stem}_registered.yaml")
     _check_target(target)
-    scene = scene_of(problem)
+    scene = scene_of(problem, options.nozzle)
     if options.published:
         return _published(options, scene, target)
     ask = _ask(options)
@@ -96,7 +96,7 @@ def _write(problem: Problem, changes: Mapping[str, Value], target: Path) -> None
 
 def _suggest(options: argparse.Namespace) -> int:
     """Where to touch before anything was touched."""
-    scene = scene_of(load_problem(options.problem))
+    scene = scene_of(load_problem(options.problem), options.nozzle)
     places, chosen = plan_contacts(scene, _ask(options), options.suggest)
     print("\n".join(f"{i}: {place_words(scene, places, k, scene.start)}" for i, k in enumerate(chosen, 1)))
     return EXIT_VERIFIED
@@ -166,6 +166,9 @@ def register_command() -> Command:
     )
     parser.add_argument("--size", action="store_true", help="find the radius of a cylinder or a sphere, too")
     parser.add_argument(
+        "--nozzle", metavar="NAME", default="", help="which of several nozzles touches (default: the first)"
+    )
+    parser.add_argument(
         "--ball-mm", metavar="MM", type=float, default=0.0, help="radius of what touches, at the tip (default 0)"
     )
     parser.add_argument(
@@ -188,9 +191,9 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
             "--published finds the table and the cylinder on it: leave out --free, --table, --size and --report"
         )
     scan = options.contacts is not None and is_scan(options.contacts)
-    if scan and (options.published or options.table or options.ball_mm):
+    if scan and (options.published or options.table or options.ball_mm or options.nozzle):
         parser.error(
-            "a scan shows the part at one angle and touches nothing: leave out --published, --table and --ball-mm"
+            "a scan shows the part at one angle and touches nothing: leave out --published, --table, --ball-mm and --nozzle"
         )
     if options.unit and not scan:
         parser.error(f"--unit is for a scan: {', '.join(SCANS)}")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags
-from planner.base.errors import InputError
+from planner.base.errors import InputError, nearest_name
 from planner.cell.cell import Cell, build_cell
 from planner.problem import Problem
 from planner.register.contacts import (
@@ -74,6 +74,7 @@ class Scene:
     """A problem with what registration asks of it: its cell, beads, bare surface, and where the part should be.
 
     points, normals (n, 3) on the surface, where it may be touched;  tangents there, a rough stand-in for the surface
+    nozzle  that touches, of several; empty where nobody says which: the cell is then that of the first one
     """
 
     problem: Problem
@@ -85,6 +86,7 @@ class Scene:
     points: Array
     normals: Array
     tangents: Tangents
+    nozzle: str = ""
 
     @property
     def home_plates(self) -> Array:
@@ -114,9 +116,16 @@ class Registration:
     turntable: Turntable | None
 
 
-def scene_of(problem: Problem) -> Scene:
-    """All that is needed of a problem. Raises InputError for what is wrong with it."""
+def scene_of(problem: Problem, nozzle: str = "") -> Scene:
+    """All that is needed of a problem; nozzle: which of several touches. Raises InputError for what is wrong with it."""
     cell = build_cell(problem)
+    names = [each.name for each in cell.nozzles]
+    if nozzle and nozzle not in names:
+        near = nearest_name(nozzle, names)
+        hint = f"did you mean {near}?" if near else f"nozzles: {', '.join(names)}" if names else "leave it out"
+        raise InputError(f"there is no nozzle {nozzle!r}", field="--nozzle", hint=hint)
+    if nozzle:
+        cell = cell.with_nozzle(names.index(nozzle))
     toolpath = build_toolpath(problem)
     if any(bead.round for bead in toolpath.beads):
         raise problem.error(
@@ -137,6 +146,7 @@ def scene_of(problem: Problem) -> Scene:
         points,
         normals,
         Tangents.of(toolpath, surface, points, normals),
+        nozzle,
     )
 
 
@@ -170,7 +180,7 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     Raises InputError for contacts that cannot be read, that are too few or badly spread for what is looked for, or that
     are not those of this part.
     """
-    readings = read_readings(file, scene.cell)
+    readings = _readings(scene, file)
     contacts = contacts_of(scene.cell, readings)
     if ask.table and len(readings.holder) and table_ways(contacts.T_world_plate).shape[1] == 0:
         raise InputError(
@@ -185,6 +195,15 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     found = fit(touch, scene.start, ask.noise)
     _fits(scene, readings, found, ask)
     return replace(judged(scene, ask, found), turntable=_turntable(scene, contacts))
+
+
+def _readings(scene: Scene, file: Path) -> Readings:
+    """What a file says. Raises InputError for joints where nobody says which of several nozzles they brought to the part."""
+    readings = read_readings(file, scene.cell)
+    if readings.joints is not None and scene.cell.nozzles and not scene.nozzle:
+        hint = f"--nozzle, one of {', '.join(each.name for each in scene.cell.nozzles)}"
+        raise InputError("joints do not tell which of the nozzles touched", file=file, hint=hint)
+    return readings
 
 
 def judged(scene: Scene, ask: Ask, found: Fit) -> Registration:
@@ -223,7 +242,7 @@ def as_published(scene: Scene, file: Path) -> Published:
     Contacts of a nozzle that always comes from one side are enough, at several angles of the table.
     Raises InputError for other parts and tables, and for contacts that this cannot be told from.
     """
-    readings = read_readings(file, scene.cell)
+    readings = _readings(scene, file)
     contacts = contacts_of(scene.cell, readings)
     part, cell = scene.problem.part, scene.cell
     if part is None or part.cylinder is None:
