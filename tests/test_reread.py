@@ -133,12 +133,16 @@ def print_of(name: str) -> tuple[Problem, Toolpath]:
 
 
 def found(
-    problem: Problem, toolpath: Toolpath, beads: list[Bead] | None = None, body: PrintBody | None = None
+    problem: Problem,
+    toolpath: Toolpath,
+    beads: list[Bead] | None = None,
+    body: PrintBody | None = None,
+    first: int = 0,
 ) -> Findings:
-    """What is found where the tip keeps to beads, by default the toolpath's own."""
+    """What is found where the tip keeps to beads, by default the toolpath's own, from the first one that is laid on."""
     beads = list(toolpath.beads) if beads is None else beads
     s, tip, axis, number = [], [], [], []
-    for i, bead in enumerate(beads):
+    for i, bead in enumerate(beads[first:], first):
         at = np.linspace(0.0, bead.length, max(2, int(bead.length / 0.15e-3)))
         s.append(at)
         tip.append(CubicSpline(bead.s, bead.points)(at))
@@ -151,7 +155,7 @@ def found(
         deposit=np.ones(n, dtype=bool),
         s=np.concatenate(s),
         bead=np.concatenate(number),
-        first_bead=0,
+        first_bead=first,
         dt=0.004,
         t=0.01 * np.arange(n),
     )

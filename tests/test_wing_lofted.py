@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
+from test_reread import found
 
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
@@ -19,6 +20,7 @@ from planner.toolpath.wing.scanlines import linked
 from planner.toolpath.wing.section import naca_section, section_through
 from planner.toolpath.wing.sheet_solid import SheetSolid
 from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, LoftedSide, SpanIntervals
+from planner.verify.reread.places import FILLED
 
 Array = NDArray[np.float64]
 HEIGHT = WIDTH = 0.5e-3
@@ -36,14 +38,15 @@ def toolpath() -> Toolpath:
     return build_toolpath(problem("layers.support=null"))
 
 
+def level() -> Problem:
+    return load_problem(
+        "naca0015_wing", ("layers.source.method=planar", "layers.support.curved=0", "layers.source.span_mm=4", JOINED)
+    )
+
+
 @pytest.fixture(scope="module")
 def planar() -> Toolpath:
-    return build_toolpath(
-        load_problem(
-            "naca0015_wing",
-            ("layers.source.method=planar", "layers.support.curved=0", "layers.source.span_mm=4", JOINED),
-        )
-    )
+    return build_toolpath(level())
 
 
 # The surface
@@ -300,6 +303,17 @@ def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
     """naca0015_wing names them: yellow and black, as in the paper."""
     found = {bead.name.split()[0]: bead.material for bead in planar.beads}
     assert found == {"support": "yellow_pla", "layer": "black_pla"}
+
+
+@pytest.mark.slow
+def test_a_rest_that_begins_with_a_support_asks_for_no_section_beside_it(planar: Toolpath) -> None:
+    """Where sections are laid before their supports, as an order that lets them cool may have it."""
+    beads = sorted(planar.beads, key=lambda bead: (bead.layer, bead.name.startswith("support")))
+    kinds = [bead.name.split()[0] for bead in beads]
+    first = next(i for i in range(len(beads) // 4, len(beads)) if kinds[i - 1 : i + 1] == ["layer", "support"])
+    assert beads[first - 1].layer == beads[first].layer
+    checks = {check.name: check for check in found(level(), planar, beads, first=first).checks}
+    assert checks[FILLED].ok, checks[FILLED]
 
 
 # Scan lines

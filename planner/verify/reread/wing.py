@@ -162,11 +162,16 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
     wanted = [k for k in known if len(asked[k].points)]
     if judged.trajectory.first_bead:  # the rest of a print that was interrupted
         first = int(which.min())
-        wanted = [k for k in wanted if k > first]
+        wanted = [k for k in wanted if k > first and not _at_one_height(found[k][0], found[first][0])]
     if spec.count is not None:
         last = int(which.max())  # layers that are hardly one may count or not
         wanted = [k for k in wanted if k <= last]
     yield filled(replace(places, layer=which), {k: asked[k] for k in wanted}, 0.0, _NARROW)
+
+
+def _at_one_height(one: WingLayer, other: WingLayer) -> bool:
+    """Whether two layers are a section of the wing and its support at a height, whichever of them is laid first."""
+    return {one.kind, other.kind} <= {"cut", "under"} and one.at == other.at
 
 
 def _layers(body: Wing) -> Iterator[WingLayer]:
