@@ -278,7 +278,7 @@ class Cell:
         return self.inverse
 
     @property
-    def T_world_foot(self) -> Array:
+    def T_world_foot_home(self) -> Array:
         """Where the arm stands (4, 4) at home: its base, or where what carries it has that."""
         if not isinstance(self.inverse, OnRail):
             return self.T_world_base

@@ -296,7 +296,7 @@ def _move_hints(stuck: Stuck, point: Array, missing: float | None, wanted: int) 
 def _directions(cell: Cell, point: Array) -> dict[str, Array]:
     """Unit vectors (3) in the world by name, as seen from a point of the part with everything at home."""
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
-    to_base = cell.T_world_foot[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
+    to_base = cell.T_world_foot_home[:3, 3] - (T_world_part[:3, :3] @ point + T_world_part[:3, 3])
     level = np.array([to_base[0], to_base[1], 0.0])
     length = float(np.linalg.norm(level))
     nearer = level / length if length > 1e-9 else np.array([1.0, 0.0, 0.0])
