@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +17,13 @@ from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState, extremes
 from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.motion.trajectory import join
 from planner.motion.travel.plan import ViaRest, between_ends, carried_travels, plan_travels, slower
 from planner.plan.robustness import Displacement
+from planner.planning.options import DEFAULT_DT
 from planner.planning.robustness import displaced, followed, middle_of
 from planner.problem import Problem
+from planner.problem.process import FilamentMoveSpec
 from planner.toolpath.bead import Toolpath
 
 Array = NDArray[np.float64]
@@ -80,7 +85,7 @@ def test_travel_is_carried_between_the_displaced_beads(
     elsewhere = displaced(cell, AWAY.matrix(middle_of(toolpath)))
     there = [time_path(elsewhere, followed(elsewhere, piece.path), (moving, moving)) for piece in timed]
     planned = plan_travels(cell, here, toolpath, process)
-    carried = carried_travels(elsewhere, planned, there, process.travel_speed)
+    carried = carried_travels(elsewhere, planned, there, toolpath, process)
     assert len(carried) == len(planned)
     lost = sum(each is None for each in carried)
     assert lost <= (2 if moving else 0), "only beads that end in motion may not be met"
@@ -106,6 +111,31 @@ def test_travel_is_carried_between_the_displaced_beads(
             assert off < (6e-4 if moving else 2e-4), "m"
 
 
+@pytest.mark.slow(keep=1)
+def test_carried_travel_leaves_the_extruder_its_time(
+    cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem, moving: bool
+) -> None:
+    """Where the runs beside it are quicker than planned, too: it lasts longer, or has to be planned anew."""
+    slow = FilamentMoveSpec(length_mm=30.0, speed_mm_s=20.0)
+    process = drawing_problem.process.model_copy(update={"prime": slow, "retract": slow})
+    here = [time_path(cell, piece.path, (moving, moving)) for piece in timed]
+    quick = replace(cell, limits=replace(cell.limits, acceleration=2.0 * cell.limits.acceleration))
+    there = [time_path(quick, piece.path, (moving, moving)) for piece in timed]
+    carried = [
+        plan_travels(quick, there, toolpath, process, range(i, i + 1))[0] if way is None else way
+        for i, way in enumerate(
+            carried_travels(quick, plan_travels(cell, here, toolpath, process), there, toolpath, process)
+        )
+    ]
+    told = join(quick, toolpath, process, there, carried, DEFAULT_DT).events
+    pauses = [
+        after.start - (before.start + before.duration)
+        for before, after in itertools.pairwise(told)
+        if (before.kind, after.kind) == ("retract", "prime")
+    ]
+    assert len(pauses) == len(timed) - 1 and min(pauses) < 1e-5
+
+
 def test_home_is_passed_on_the_way_where_it_was(
     cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem
 ) -> None:
@@ -115,7 +145,7 @@ def test_home_is_passed_on_the_way_where_it_was(
     home = planned[0].start.q
     out = Cubics(planned[-1].times, planned[-1].coefficients)
     via = ViaRest(between_ends(out, timed[0].end, still(home)), planned[0])
-    carried = carried_travels(elsewhere, [planned[0], via, planned[-1]], there, 0.5)[1]
+    carried = carried_travels(elsewhere, [planned[0], via, planned[-1]], there, toolpath, drawing_problem.process)[1]
     assert isinstance(carried, ViaRest)
     check_joined(carried.out, there[0].end, still(home))
     check_joined(carried.back, still(home), there[1].start)

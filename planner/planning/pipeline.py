@@ -602,7 +602,7 @@ def _elsewhere(
     timed = [time_path(cell, path, (moving, moving), problem.resolve.timing) for path in paths]
     carried = [
         plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
-        for i, way in enumerate(carried_travels(cell, travels, timed, process.travel_speed))
+        for i, way in enumerate(carried_travels(cell, travels, timed, toolpath, process))
     ]
     return join(cell, toolpath, process, timed, carried, dt, contacts_within(process, toolpath))
 

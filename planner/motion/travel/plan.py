@@ -404,41 +404,51 @@ def within_limits(cell: Cell, motion: Cubics) -> bool:
 
 
 def carried_travels(
-    cell: Cell, travels: Sequence[Travel], timed: Sequence[TimedPath], speed: float
+    cell: Cell, travels: Sequence[Travel], timed: Sequence[TimedPath], toolpath: Toolpath, process: ProcessSpec
 ) -> list[Travel | None]:
-    """Travel as planned, but between the ends of these beads, the tip no faster than speed [m/s]; home stays at home.
+    """Travel as planned, but between the ends of these beads; home stays at home.
 
     A controller goes through the targets of its program wherever the work object stands, and joins them as before. So the
     change of a travel's joints goes over from that at its one end to that at the other.
-    Where it would be too fast for a joint or for the tip it takes longer; None if it cannot, for a bead's end moves.
+    Where it would be too fast for a joint or for the tip, or the runs leave the extruder too little time to retract and
+    prime, it takes longer; None if it cannot, for a bead's end moves.
     """
+
+    def carried(way: Cubics, leave: TimedPath | None, reach: TimedPath | None) -> Cubics | None:
+        start = at_rest(way.start.q) if leave is None else leave.end
+        end = at_rest(way.end.q) if reach is None else reach.start
+        least = _least(process, toolpath, leave, reach)
+        return _carried(cell.at(_material(leave, reach)), way, start, end, least, process.travel_speed)
+
     out: list[Travel | None] = []
     for i, travel in enumerate(travels):
-        start = None if i == 0 else timed[i - 1].end
-        end = None if i == len(timed) else timed[i].start
-        own = cell.at(timed[min(i, len(timed) - 1)].path.task.material)
+        leave = None if i == 0 else timed[i - 1]
+        reach = None if i == len(timed) else timed[i]
         if not isinstance(travel, ViaRest):
-            out.append(_carried(own, travel, start, end, speed))
+            out.append(carried(travel, leave, reach))
             continue
-        left = cell.at(timed[i - 1].path.task.material)
-        away, back = _carried(left, travel.out, start, None, speed), _carried(own, travel.back, None, end, speed)
+        away, back = carried(travel.out, leave, None), carried(travel.back, None, reach)
         out.append(None if away is None or back is None else ViaRest(away, back))
     return out
 
 
-def _carried(cell: Cell, way: Cubics, start: JointState | None, end: JointState | None, speed: float) -> Cubics | None:
-    """One way between other ends, its own where they are None; None where it would have to be slower, but cannot."""
-    start, end = start or at_rest(way.start.q), end or at_rest(way.end.q)
-    moved = between_ends(way, start, end)
+def _carried(cell: Cell, way: Cubics, start: JointState, end: JointState, least: float, speed: float) -> Cubics | None:
+    """One way between other ends, that lasts `least` [s] and more, the tip no faster than speed [m/s]; None where it would
+    have to be slower, but cannot."""
+    moved, resting = between_ends(way, start, end), start.resting and end.resting
+    lasts = moved.duration > 0.0
+    if moved.duration < least - _ROUNDING and not (resting and lasts):
+        return None
     found, limits = extremes(moved), cell.limits
     times = max(
         1.0,
+        least / moved.duration if lasts else 1.0,
         float((found.velocity / limits.velocity).max()) / HEADROOM,
         float(np.sqrt((found.acceleration / limits.acceleration).max() / HEADROOM)),
         float(np.cbrt((found.jerk / limits.jerk).max() / HEADROOM)),
         track(cell, moved).tip_speed / (_FAST * speed),
     )
-    if start.resting and end.resting:
+    if resting:
         return moved if times <= _LONGER else slower(moved, times * _LONGER)
     return moved if within_limits(cell, moved) and track(cell, moved).tip_speed <= speed else None
 
