@@ -55,10 +55,12 @@ def measure_timing(cell: Cell, paths: Sequence[JointPath]) -> tuple[list[TimedPa
 
 
 def deposition_time(timed: Sequence[TimedPath]) -> float:
-    """From the start to the end of each bead, to the instant: samples would round it [s]."""
+    """From the start to the end of each bead without its rests, to the instant: samples would round it [s]."""
     tasks = [each.path.task for each in timed]
     return sum(
-        each.when(float(task.s[task.last])) - each.when(float(task.s[task.first]))
+        each.when(float(task.s[task.last]))
+        - each.when(float(task.s[task.first]))
+        - sum(last - first for first, last in each.rests)
         for each, task in zip(timed, tasks, strict=True)
     )
 

@@ -253,6 +253,14 @@ def test_a_wait_at_another_place_is_found() -> None:
     assert any(text.startswith("wait") for text in compare(plan, read_rapid("\n".join(lines))).differences())
 
 
+def test_nothing_is_laid_in_the_rests_at_cuts() -> None:
+    plan = solved("fibre")
+    t, rests = plan.trajectory, 3 * 2.5
+    laid = t.deposit.sum() * t.dt - rests
+    assert plan.metrics["deposition_time_s"] == pytest.approx(laid, abs=3 * 2 * t.dt)
+    assert plan.metrics["bound_gap_fraction"] < 0.5 * rests / plan.metrics["bound_any_path_s"]
+
+
 def test_a_wait_before_the_first_target_is_not_known() -> None:
     text = rapid(solved("start"))
     with pytest.raises(InputError, match="a wait before the first target"):

@@ -64,7 +64,11 @@ METRICS: dict[str, Measure] = {
         "counted: see beads cross nowhere",
         "layers cover faces, or process.crossings is given",
     ),
-    "deposition_time_s": Measure("s", "time in which material is laid", "samples that deposit, times their spacing"),
+    "deposition_time_s": Measure(
+        "s",
+        "time in which material is laid, without the rests at cuts of fibre",
+        "samples that deposit and move, times their spacing",
+    ),
     "ideal_deposition_time_s": Measure(
         "s", "that time if the speed never dipped", "length of the beads over the commanded speed"
     ),

@@ -402,7 +402,7 @@ def _speed(judged: Judged) -> Findings:
             "speed_max_mm_s": float(fast.max()) * 1e3,
             "speed_min_mm_s": float(slow.min()) * 1e3 if len(slow) else 0.0,
             "at_speed_fraction": float(mean[at_speed].sum() / deposited) if deposited else 0.0,
-            "deposition_time_s": float(t.deposit.sum() * t.dt),
+            "deposition_time_s": float(np.count_nonzero(t.deposit & (mean > 0.0)) * t.dt),
             "ideal_deposition_time_s": float((lengths / judged.commanded)[laid].sum()),
             "print_time_s": float(t.t[-1]),
         },
