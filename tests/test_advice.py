@@ -6,16 +6,20 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from solved import small_plan, small_problem, write_small
 
 from benchmarks.advice import WITHIN, applied
+from planner.motion.timing.timed_path import time_path
 from planner.plan import Plan
-from planner.planning.advice import LEAST, SpeedTotals, below_speed, changes, promises, recorded, worst_beads
+from planner.planning.advice import LEAST, SpeedTotals, below_speed, changes, laid, promises, recorded, worst_beads
 from planner.planning.pipeline import solve
 from planner.report.places import SLOWEST_ADVISED, followable
+from planner.toolpath.task import Stop
 
 
 @cache
@@ -70,10 +74,26 @@ def test_lengths_below_speed_are_those_of_each_bead() -> None:
 
 def test_length_and_time_are_those_of_the_print() -> None:
     plan = small_plan()
-    laid = recorded(plan.trajectory, plan.commanded, range(len(plan.beads)))
-    assert laid.length == pytest.approx(plan.metrics["deposited_length_mm"] * 1e-3, rel=0.01)
-    assert laid.time == pytest.approx(plan.metrics["deposition_time_s"], rel=0.01)
-    assert laid.share == pytest.approx(plan.metrics["at_speed_fraction"], abs=0.03)
+    whole = recorded(plan.trajectory, plan.commanded, range(len(plan.beads)))
+    assert whole.length == pytest.approx(plan.metrics["deposited_length_mm"] * 1e-3, rel=0.01)
+    assert whole.time == pytest.approx(plan.metrics["deposition_time_s"], rel=0.01)
+    assert whole.share == pytest.approx(plan.metrics["at_speed_fraction"], abs=0.03)
+
+
+def test_a_rest_at_a_cut_is_no_time_that_a_bead_takes() -> None:
+    plan = small_plan()
+    path = plan.paths[0]
+    task = replace(path.task, stops=(Stop(0.5 * plan.beads[0].length, 1.0, "cut"),))
+    timed = time_path(plan.cell, replace(path, task=task))
+    dt = plan.trajectory.dt
+    s = timed.at(np.arange(0.0, timed.duration, dt))[1]
+    inside = (s >= 0.0) & (s <= plan.beads[0].length)
+    trajectory: Any = SimpleNamespace(
+        dt=dt, deposit=inside, bead=np.where(inside, 0, -1), speed=np.diff(s, prepend=s[0]) / dt
+    )
+    found, meant = recorded(trajectory, plan.commanded, [0]), laid(timed)
+    assert found.time == pytest.approx(meant.time, abs=0.05)
+    assert found.length == pytest.approx(meant.length, rel=0.01)
 
 
 @pytest.mark.slow

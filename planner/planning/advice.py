@@ -130,12 +130,12 @@ def promises(before: SpeedTotals, tried: SpeedTotals, now: SpeedTotals, whole: S
 
 
 def recorded(trajectory: Trajectory, commanded: Array, beads: Sequence[int]) -> SpeedTotals:
-    """Some beads as a trajectory lays them; commanded: speeds of all [m/s]."""
+    """Some beads as a trajectory lays them, without the rests in them; commanded: speeds of all [m/s]."""
     t = trajectory
     own = t.deposit & np.isin(t.bead, list(beads))
     speed = t.speed[own]
     fast = speed >= (1.0 - SPEED_TOLERANCE) * commanded[t.bead[own]]
-    return SpeedTotals(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, len(speed) * t.dt)
+    return SpeedTotals(float(speed[fast].sum()) * t.dt, float(speed.sum()) * t.dt, np.count_nonzero(speed) * t.dt)
 
 
 def below_speed(trajectory: Trajectory, commanded: Array) -> Array:
@@ -227,7 +227,7 @@ def _laid(given: PlanningContext, paths: Sequence[JointPath]) -> SpeedTotals:
 
 
 def laid(timed: TimedPath) -> SpeedTotals:
-    """Of one bead in time, without its runs."""
+    """Of one bead in time, without its runs and rests."""
     task = timed.path.task
     low, high = float(task.s[task.first]), float(task.s[task.last])
     t = np.append(np.arange(0.0, timed.duration, STEP), timed.duration)
