@@ -11,6 +11,7 @@ import pytest
 
 from benchmarks.random_cells import make_case
 from planner.base.errors import Refusal
+from planner.plan import Event
 from planner.planning import candidates, context
 from planner.planning.candidates import HELD, PlannedPaths, _best, _leaves_to_be_desired
 from planner.planning.pipeline import solve
@@ -33,11 +34,12 @@ process:
 """
 
 
-def planned(by: str, speed: float, time: float, verified: bool = True) -> PlannedPaths:
-    metrics = {"at_speed_fraction": speed, "print_time_s": time, "deposition_time_s": 0.97 * time}
+def planned(by: str, speed: float, time: float, verified: bool = True, events: tuple[Event, ...] = ()) -> PlannedPaths:
+    waits = sum(event.duration for event in events)
+    metrics = {"at_speed_fraction": speed, "print_time_s": time + waits, "deposition_time_s": 0.97 * time}
     report: Any = SimpleNamespace(checks=(SimpleNamespace(name="speed in deposition", ok=verified),), metrics=metrics)
-    nothing: Any = ()
-    return PlannedPaths(by, (), nothing, report, ())
+    trajectory: Any = SimpleNamespace(events=events)
+    return PlannedPaths(by, (), trajectory, report, ())
 
 
 @pytest.mark.parametrize(
@@ -54,6 +56,27 @@ def planned(by: str, speed: float, time: float, verified: bool = True) -> Planne
 )
 def test_speed_and_time_are_weighed(plans: list[tuple[str, float, float]], best: str) -> None:
     assert _best([planned(*each) for each in plans]).by == best
+
+
+WAITS = (
+    Event("heat", -1, 0.0, 600.0, 0.0),
+    Event("purge", -1, 600.0, 10.0, 0.01),
+    Event("cut", 0, 650.0, 100.0, 0.0),
+    Event("pause", 1, 800.0, 3600.0, 0.0),
+    Event("change", 2, 4500.0, 300.0, 0.0),
+)
+
+
+@pytest.mark.parametrize(
+    "plans", [[("own", 0.95, 100.0), ("other", 0.9505, 95.0)], [("own", 1.0, 60.0), ("other", 1.0, 50.0)]]
+)
+def test_waits_that_all_plans_have_weigh_nothing(plans: list[tuple[str, float, float]]) -> None:
+    assert _best([planned(*each) for each in plans]).by == "other"
+    assert _best([planned(*each, events=WAITS) for each in plans]).by == "other"
+
+
+def test_waits_do_not_count_as_travel() -> None:
+    assert not _leaves_to_be_desired(planned("own", 1.0, 100.0, events=WAITS), 1000, 1)
 
 
 def test_others_are_asked_where_something_is_left_to_be_desired() -> None:

@@ -51,6 +51,8 @@ SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the
 LONGER = 1.02  # times the least time, above which the ladder's paths are refined once more,
 HELD = "ladder, refined with ends held"
 HOLDS = 100.0  # times the usual price of ends of beads that move
+# Events in which the robot rests for as long whatever its joint paths are.
+WAITS = frozenset({"heat", "purge", "pause", "change", "cut"})
 FAR_BEYOND = 0.1  # rad beyond a cone, and
 FAR_BEHIND = 0.01  # share of the time lost more, from which refining seldom brings paths back
 
@@ -79,9 +81,10 @@ class PlannedPaths:
         return self.report.metrics["at_speed_fraction"]
 
     @property
-    def print_time(self) -> float:
-        """Time of the whole print [s]."""
-        return self.report.metrics["print_time_s"]
+    def time(self) -> float:
+        """Time of the whole print [s], but for rests that any joint paths have."""
+        waits = sum(event.duration for event in self.trajectory.events if event.kind in WAITS)
+        return self.report.metrics["print_time_s"] - waits
 
 
 PlanPaths = Callable[[str, Sequence[JointPath]], PlannedPaths]
@@ -105,7 +108,7 @@ def best_of_all(
 
     for name, paths in _simpler_paths(given, own, waypoints):
         plan(name, paths)
-    if own is not None and own.verified and own.print_time > LONGER * _soonest(verified):
+    if own is not None and own.verified and own.time > LONGER * _soonest(verified):
         with suppress(Refusal):
             plan(HELD, _refined_with_held_ends(given))
     return _best(verified) if verified else own
@@ -140,8 +143,7 @@ def _too_slow_for_its_window(report: Report) -> bool:
 
 
 def _travel_share(own: PlannedPaths) -> float:
-    metrics = own.report.metrics
-    return 1.0 - metrics["deposition_time_s"] / metrics["print_time_s"]
+    return 1.0 - own.report.metrics["deposition_time_s"] / own.time
 
 
 def _simpler_paths(
@@ -189,21 +191,19 @@ def _simpler_paths(
 
 
 def _soonest(plans: Sequence[PlannedPaths]) -> float:
-    """The least time of a print [s]."""
-    return min(plan.print_time for plan in plans)
+    """The least time of a print [s], see `PlannedPaths.time`."""
+    return min(plan.time for plan in plans)
 
 
 def _best(plans: Sequence[PlannedPaths]) -> PlannedPaths:
     """Of verified plans the one that costs least, among those that are about as good as any of them both at speed and in
     time, where there are such; the first, the default's own if it is there, if it costs about as little."""
     most, soonest = max(plan.at_speed for plan in plans), _soonest(plans)
-    as_good = [
-        plan for plan in plans if plan.at_speed >= most - AS_GOOD_SPEED and plan.print_time <= AS_GOOD_TIME * soonest
-    ]
+    as_good = [plan for plan in plans if plan.at_speed >= most - AS_GOOD_SPEED and plan.time <= AS_GOOD_TIME * soonest]
 
     def cost(plan: PlannedPaths) -> float:
         slow = most - plan.at_speed
-        return plan.print_time * (1.0 + SPEED_PRICE * (slow if slow > SAME_SPEED else 0.0))
+        return plan.time * (1.0 + SPEED_PRICE * (slow if slow > SAME_SPEED else 0.0))
 
     among = as_good or plans
     least = min(among, key=cost)
