@@ -17,11 +17,16 @@ from planner.planning import estimate as model
 from planner.planning.check_command import examine, is_quick, main
 from planner.planning.estimate import check_memory, estimate
 from planner.planning.pipeline import load, solve
+from planner.problem import Problem
+from planner.problem.by_layer import LayerTimeSpec, PauseSpec
 from planner.problem.mesh_files import read_corners
+from planner.problem.process import ChangeSpec, FibreSpec, StartSpec
 from planner.toolpath import workload
+from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.foreseen import foreseen
 from planner.toolpath.gcode.reader import read_gcode
+from planner.toolpath.speeds import resting_time
 from planner.toolpath.workload import Workload, check_beads, check_laid, check_length, check_threads
 
 
@@ -250,6 +255,23 @@ def test_an_estimate_in_words() -> None:
     assert model.Estimate(600.0, 1.2e9).words == "about 10 min and 1.2 GB on two free cores"
     small, large = (estimate(Workload(n, n, 100 * n, 0.1 * n, 10 * n), 0.04, 0.004) for n in (1, 1000))
     assert large.seconds > small.seconds and large.bytes > small.bytes
+
+
+def test_rests_of_a_print_are_foreseen(drawing_problem: Problem, toolpath: Toolpath) -> None:
+    process, beads = drawing_problem.process, toolpath.beads
+    laying = sum(bead.length for bead in beads if bead.layer == 0) / process.speed
+
+    def rests(toolpath: Toolpath = toolpath, **asked: object) -> float:
+        return resting_time(process.model_copy(update=asked), toolpath)
+
+    pause, layers = PauseSpec(before_layer=2, wait_s=20.0), LayerTimeSpec(least_s=600.0)
+    assert rests() == 0.0
+    assert rests(start=StartSpec(heat_wait_s=100.0, purge_mm=10.0, purge_speed_mm_s=5.0)) == pytest.approx(102.0)
+    assert rests(pauses=(pause,)) == pytest.approx(20.0)
+    assert rests(layer_time=layers, pauses=(pause,)) == pytest.approx(600.0 - laying)  # in which the pause is
+    assert rests(fibre=FibreSpec(cut_length_mm=1.0, cut_wait_s=2.0)) == pytest.approx(2.0 * len(beads))
+    other = replace(toolpath, beads=(replace(beads[0], material="pva"), *beads[1:]))
+    assert rests(other, change=ChangeSpec(wait_s=7.0)) == pytest.approx(7.0)
 
 
 def test_the_benchmark_lists_and_models(capsys: pytest.CaptureFixture[str]) -> None:

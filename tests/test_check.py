@@ -74,6 +74,22 @@ def test_the_time_to_plan_is_that_at_the_speeds_of_beads(tmp_path: Path, capsys:
     assert f"to plan them takes {estimate(work, 1e-3, DEFAULT_DT).words}" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("waits", "more", "resting"),
+    [
+        ("process.start.heat_wait_s=3600", [], 3600.0),
+        ("process.layer_time={least_s: 3600, slowest_mm_s: 40}", ["--toolpath"], 3.0 * (3600.0 - 2.0)),
+    ],
+)
+def test_the_time_to_plan_is_that_with_rests(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], waits: str, more: list[str], resting: float
+) -> None:
+    assert main([str(own(tmp_path)), "--set", waits, *more]) == 0
+    work = examine(load_problem(own(tmp_path), [waits]), bool(more)).work
+    assert work is not None
+    assert f"to plan them takes {estimate(work, 0.04, DEFAULT_DT, resting).words}" in capsys.readouterr().out
+
+
 def test_a_bead_too_short_for_its_fibre(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main([str(own(tmp_path)), "--set", "process.fibre={cut_length_mm: 100}"]) == 2
     assert "process.fibre" in capsys.readouterr().err

@@ -261,11 +261,15 @@ def _expected(problem: Problem, found: Examination) -> str | None:
         return None
     from planner.planning.estimate import estimate
     from planner.planning.options import DEFAULT_DT
-    from planner.toolpath.speeds import mean_speed
+    from planner.toolpath.speeds import mean_speed, resting_time
 
-    speed = problem.process.speed if toolpath is None else mean_speed(problem.process, toolpath)
+    process = problem.process
+    if toolpath is None:
+        speed, resting = process.speed, process.start.time
+    else:
+        speed, resting = mean_speed(process, toolpath), resting_time(process, toolpath)
     size = f"{work.waypoints:,} waypoint{'' if work.waypoints == 1 else 's'}"
-    return f"{size} in all; to plan them takes {estimate(work, speed, DEFAULT_DT).words}"
+    return f"{size} in all; to plan them takes {estimate(work, speed, DEFAULT_DT, resting).words}"
 
 
 def _told(mistakes: Sequence[InputError]) -> int:

@@ -42,9 +42,9 @@ class Estimate:
         return f"about {time} and {self.bytes / 1e9:.1f} GB on two free cores"
 
 
-def estimate(work: Workload, speed: float, dt: float) -> Estimate:
-    """What planning takes, about; speed [m/s] of the print, dt [s] between samples."""
-    samples = (work.length / speed + _TRAVEL * work.beads + _AROUND) / dt
+def estimate(work: Workload, speed: float, dt: float, resting: float = 0.0) -> Estimate:
+    """What planning takes, about; speed [m/s] of the print, dt [s] between samples, resting [s] besides."""
+    samples = (work.length / speed + _TRAVEL * work.beads + _AROUND + resting) / dt
     return Estimate(
         _SECONDS
         + _PER_WAYPOINT * work.waypoints

@@ -72,7 +72,7 @@ from planner.resolve.strategies import STRATEGIES, UNAWARE
 from planner.toolpath.as_printed import printed_beads
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.speeds import mean_speed
+from planner.toolpath.speeds import mean_speed, resting_time
 from planner.toolpath.workload import Workload
 from planner.verify.as_run import ASKED, as_run
 from planner.verify.collision import check_start
@@ -166,7 +166,8 @@ def solve(
         if not problem.process.split_beads:
             corrections_of(problem, toolpath)
     work = Workload.of(toolpath)
-    expected = estimate(work, mean_speed(problem.process, toolpath), dt)
+    resting = resting_time(problem.process, toolpath)
+    expected = estimate(work, mean_speed(problem.process, toolpath), dt, resting)
     check_memory(problem, work, expected)
     if expected.seconds >= TOLD_FROM:
         stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -109,3 +110,18 @@ def mean_speed(process: ProcessSpec, toolpath: Toolpath) -> float:
     """Length of all beads over the time that they take at their commanded speeds [m/s]."""
     length = sum(bead.length for bead in toolpath.beads)
     return length / sum(bead.length / bead.commanded(process.speed) for bead in toolpath.beads)
+
+
+def resting_time(process: ProcessSpec, toolpath: Toolpath) -> float:
+    """How long the robot rests in a print [s], about, before its motion is known: until all is hot, at cuts of fibre, for
+    changes of material, for pauses, and until a layer is cool; not for what lies below a bead to grow old enough."""
+    beads, layers = toolpath.beads, beads_by_layer(toolpath)
+    cuts = 0.0 if process.fibre is None else len(beads) * process.fibre.cut_wait
+    changes = sum(before.material != after.material for before, after in pairwise(beads)) * process.change.time
+    least = 0.0 if process.layer_time is None else process.layer_time.least
+    pauses = {pause.before_layer - 1: pause.time for pause in process.pauses}
+    between = 0.0
+    for layer, after in pairwise(layers):
+        laying = sum(beads[i].length / beads[i].commanded(process.speed) for i in layers[layer])
+        between += max(least - laying, pauses.get(after, 0.0))
+    return process.start.time + cuts + changes + between
