@@ -83,11 +83,11 @@ def with_limits(cell: Cell, **changes: Array) -> Cell:
 
 
 def dips_of(
-    cell: Cell, path: JointPath, trajectory: Trajectory, turn: float = 0.0, **process: float
+    cell: Cell, path: JointPath, trajectory: Trajectory, bead: Bead | None = None, **process: float
 ) -> tuple[Dip, ...]:
     problem = small_problem()
     problem = problem.model_copy(update={"process": problem.process.model_copy(update=process)})
-    return find_dips(problem, cell, Toolpath((bead_of(turn),), None), (path,), trajectory)  # type: ignore[arg-type]
+    return find_dips(problem, cell, Toolpath((bead or bead_of(),), None), (path,), trajectory)  # type: ignore[arg-type]
 
 
 def remedy(dip: Dip, kind: str) -> Remedy:
@@ -209,12 +209,23 @@ def test_a_joint_that_is_short_at_the_start_is_named(cell: Cell) -> None:
     assert remedy(dip, "run_in").changes[0][1] > 10.0
 
 
+def test_a_run_that_is_short_since_it_has_to_be_is_not_told_to_be_longer(cell: Cell) -> None:
+    rest, at_rest = line_of(bump(2, 1e-6, 0.05), run=0.0), slowed((-1.0, 0.005, 0.02), (0.092, 1.0, 0.03), run=0.0)
+    swing, slow = line_of(bump(4, 0.01, 1e-3, at=-0.002)), slowed((-1.0, 0.001, 0.02))
+    for short in ((False, False), (True, False), (False, True)):
+        bead = replace(bead_of(), short_runs=short)
+        told = [[each.kind for each in dip.remedies] for dip in dips_of(cell, rest, at_rest, bead)]
+        assert told == [[] if each else ["run_in"] for each in short]
+        (dip,) = dips_of(cell, swing, slow, bead, corner_tolerance=1e-3, run_in=0.01)
+        assert ("run_in" in [each.kind for each in dip.remedies]) is not short[0]
+
+
 @pytest.mark.parametrize("tight", [1.0, 0.02])
 def test_corner_tolerance_is_named_where_rounding_shapes_the_path(cell: Cell, tight: float) -> None:
     cell = with_limits(cell, jerk=tight * cell.limits.jerk)
     path, trajectory = line_of(bump(2, 0.02, 2e-3)), slowed((0.044, 0.056, 0.02))
-    (smooth,) = dips_of(cell, path, trajectory, turn=np.radians(15.0))
-    (corner,) = dips_of(cell, path, trajectory, turn=np.radians(30.0))
+    (smooth,) = dips_of(cell, path, trajectory, bead_of(np.radians(15.0)))
+    (corner,) = dips_of(cell, path, trajectory, bead_of(np.radians(30.0)))
     assert "corner_tolerance" not in [each.kind for each in smooth.remedies]
     about = remedy(corner, "corner_tolerance")
     assert not about.exact

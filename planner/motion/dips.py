@@ -180,7 +180,8 @@ def _cause(problem: Problem, line: _BeadContext, dip: _Stretch) -> tuple[str, st
         more = dip.high if start else line.bead.length - dip.low
         # a strut may have no run, and will have no longer one
         runs = not line.bead.round or (task.first > 0 if start else task.last < len(task) - 1)
-        return "", "start" if start else "end", _longer_run(problem, problem.process.run_in + more) if runs else ()
+        longer = _longer_run(problem, line.bead, (not start,), problem.process.run_in + more) if runs else ()
+        return "", "start" if start else "end", longer
     return line.names[joint], LIMITS[order], ()  # no limit asks for it: the one that is nearest is named
 
 
@@ -220,7 +221,8 @@ def _larger_shape(
     process, length, speed = problem.process, line.bead.length, line.path.task.speed
     tight = places[(ceilings < AT_SPEED * speed).any(axis=(1, 2))]
     if np.minimum(tight, length - tight).max() < process.corner_tolerance:  # all in a run, or just before it
-        return _longer_run(problem, process.run_in * (speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf)
+        longer = process.run_in * (speed / dip.lowest) ** 2 if dip.lowest > 0.0 else np.inf
+        return _longer_run(problem, line.bead, (tight[[0, -1]] > 0.5 * length).tolist(), longer)
     wider = process.corner_tolerance * _growth(ceilings, speed)
     if wider > min(WIDEST_TOLERANCE, length / _CORNER_LENGTH) or not line.corner(
         float(tight[0]), float(tight[-1]), process.corner_tolerance
@@ -229,8 +231,11 @@ def _larger_shape(
     return (Remedy("corner_tolerance", (("process.corner_tolerance_mm", _up(wider * 1e3, 2)),), False),)
 
 
-def _longer_run(problem: Problem, length: float) -> tuple[Remedy, ...]:
-    if not problem.process.run_in < length <= LONGEST_RUN:
+def _longer_run(problem: Problem, bead: Bead, ends: Sequence[bool], length: float) -> tuple[Remedy, ...]:
+    """A run-in and run-out of a length [m]; none where a run at one of these ends (False its start) is short, since none
+    longer could be had."""
+    short = any(bead.short_runs[end] for end in ends)
+    if short or not problem.process.run_in < length <= LONGEST_RUN:
         return ()
     return (Remedy("run_in", (("process.run_in_mm", _up(length * 1e3, 2)),), False),)
 
