@@ -369,6 +369,8 @@ WRONG = [
     ("G2 X9 R2 E1", "cannot join points 9.000 mm apart", ""),
     ("G2 R2 E1", "ends where it starts", ""),
     ("G1 X9 E1\nM200 D1.75", "E becomes a volume here", "one of both"),
+    ("G1 X9 E1\nM200 S1", "E becomes a volume here", "one of both"),
+    ("M200 D1.75:0", "E is a volume of some tools alone", "one of both"),
     ("G28\nG1 X1 Y1 E1", "nothing says where the nozzle is", "before it"),
     ("G28\nG2 X1 Y1 I1 E1", "nothing says where the nozzle is", "before it"),
     ("G1 X9 C90 E1", "C moves while material flows", "layers.source.waypoints"),
@@ -387,6 +389,27 @@ def test_a_bad_line_is_named(read: Read, line: str, reason: str, hint: str) -> N
     assert caught.value.line == 5 + line.count("\n")
     assert reason in caught.value.reason
     assert hint in (caught.value.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("said", "volume"),
+    [
+        (("D1.75",), True),
+        (("D0",), False),
+        (("S1",), True),
+        (("D1.75", "S0"), False),
+        (("S0 D1.75",), False),
+        (("D1.75 S1",), True),
+        (("S1 D0",), False),
+        (("D1.75:1.75",), True),
+        (("D0:0",), False),
+        (("T1 D2.85", ""), True),
+    ],
+)
+def test_e_is_a_volume_where_m200_switches_it_on(read: Read, said: tuple[str, ...], volume: bool) -> None:
+    """As Marlin and RepRapFirmware take it: the diameter alone switches it on, and S does or does not."""
+    lines = "".join(f"M200 {words}\n" for words in said)
+    assert read(f"{lines}{START}G1 X20 E1\n").volume is volume
 
 
 def test_axes_that_stand_still_do_no_harm(read: Read) -> None:

@@ -36,6 +36,7 @@ _LINE = re.compile(r"(?:N\d+\s*)?([GMTP])\s*(\d+(?:\.\d+)?)(.*?)(?:\*\s*\d+)?\s*
 # a small e behind a digit is an exponent, which G-code does not have: read as E it would be another extrusion
 _WORDS = re.compile(rf"\s*([A-Za-z])\s*({NUMBER})(?=\s|[A-Za-df-z]|$)\s*")
 _MACRO = re.compile(r"[A-Za-z_]{3}\w*|[@%].*", re.DOTALL)  # a macro's name of a printer's own firmware, and marks
+_OTHER_TOOLS = re.compile(rf":({NUMBER})")  # whose diameters stand behind the first one's, as in M200 D1.75:2.85
 _ROTARY = "ABC"  # axes that turn the part or the nozzle, and
 _FURTHER = "UVW"  # those that machines have besides
 _AS_WAYPOINTS = "write its points and normals as waypoints: x y z nx ny nz a line, layers.source.waypoints"
@@ -387,7 +388,15 @@ class _Machine:
         self.unit = unit
 
     def _take_volume(self, rest: str) -> None:
-        volume = self._words(rest).get("D", 1.0 if self.volume else 0.0) > 0.0
+        """M200: E is a volume where D is a diameter or S is 1, a length where either is 0; D0 counts for more than S1."""
+        words, volume = self._words(_OTHER_TOOLS.sub("", rest)), self.volume
+        if "D" in words:
+            of_tools = {float(diameter) > 0.0 for diameter in (words["D"], *_OTHER_TOOLS.findall(rest))}
+            if len(of_tools) > 1:
+                raise self._wrong("E is a volume of some tools alone", "one of both in all of a file")
+            volume = of_tools.pop()
+        if "S" in words and words.get("D") != 0.0:
+            volume = words["S"] > 0.0
         if volume != self.volume and (self.threads or self._pushed):
             raise self._wrong("E becomes a volume here, or a length again", "one of both in all of a file")
         self.volume = volume
