@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
+import export_fixtures
 import numpy as np
 import pytest
 from export_fixtures import GOLDEN, arm_texts, make_plan, resting_in_a_bead
@@ -620,6 +621,45 @@ def test_sections_are_cut_to_size(lengths: list[int], most: int) -> None:
     assert [i for piece in pieces for i in piece.moves] == list(range(ends[-1]))
     assert all(len(piece.moves) <= most for piece in pieces)
     assert all(sum(len(piece.moves) for piece in group) <= most for group in in_files(whole, most))
+
+
+def straight(distance: Array, length: float, z: float, turn: float) -> tuple[Array, Array]:
+    """Tip and normal (k, 3) at the distance from the start of a straight bead."""
+    normal = np.tile([-1.0, 0.0, 0.0], (len(distance), 1))
+    place = np.append(export_fixtures.CENTRE, z) + export_fixtures.RADIUS * normal
+    return place + np.outer(distance - 0.5 * length, [0.0, 1.0, 0.0]), normal
+
+
+def slow(speed: float, monkeypatch: pytest.MonkeyPatch) -> Plan:
+    """A straight bead of 80 mm at a speed [m/s]: four moves."""
+    monkeypatch.setattr(export_fixtures, "SPEED", speed)
+    monkeypatch.setattr(export_fixtures, "_bead_pose", straight)
+    plan: Plan = make_plan.__wrapped__(positioner=False, arm="kr6_r900", beads=1, dip=False, length=0.08)
+    return plan
+
+
+@pytest.mark.parametrize(
+    ("language", "speed", "written"),
+    [("inform", 5.05e-3, ("V=5.1", "V=5.0", "V=5.2")), ("fanuc", 5.3e-3, ("32cm/min", "31cm/min", "33cm/min"))],
+)
+def test_speeds_between_the_steps_of_a_language(
+    language: str, speed: float, written: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A long move misses its time by half a step, which the next ones make up for."""
+    plan = slow(speed, monkeypatch)
+    ((name, text),) = module(language).write(plan).items()
+    near, other, wrong = written
+    assert near in text and other in text
+    assert differences(language, {name: text}, plan) == []
+    found = differences(language, {name: text.replace(other, wrong, 1)}, plan)
+    assert "speeds of lines are not the planned ones" in found and any(each.startswith("late") for each in found)
+
+
+@pytest.mark.parametrize("language", ["inform", "fanuc"])
+def test_a_speed_that_steps_are_too_coarse_for_is_told(language: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = slow(0.93e-3, monkeypatch)
+    (found,) = differences(language, module(language).write(plan), plan)
+    assert found.startswith("late differs by")
 
 
 def test_parts_of_a_resumed_print_keep_their_place_in_the_name() -> None:

@@ -280,7 +280,7 @@ def arm_differences(
     radii = np.concatenate([[0.0], move_radii(plan, moves)])
     program = _in_the_cell(plan, moves, read, convention, rounding, tick)
     said = replace(program, zone=read.program.zone)  # blends that the language does not say are nobody's to judge
-    found = [*played_differences(plan, moves, program), *blend_differences(plan, said)]
+    found = [*played_differences(plan, moves, program, speeds), *blend_differences(plan, said)]
     off = np.abs(read.axes - convention.counted(moves.q[:, cell.own]))[~linear].max()
     if not off <= rounding:
         found.append(f"axes differ by {off:.3g} rad")

@@ -662,7 +662,11 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     """Differences of both files from the plan, beyond rounding and thinning, in words. InputError for an unknown line."""
     source, motion = _read(plan, files)
     moves = moves_with_arcs(plan)
-    return [*played_differences(plan, moves, motion), *blend_differences(plan, motion), *_moves(plan, moves, source)]
+    return [
+        *played_differences(plan, moves, motion, stepped_speeds(moves, LEAST_SPEED)),
+        *blend_differences(plan, motion),
+        *_moves(plan, moves, source),
+    ]
 
 
 def _read(plan: Plan, files: Mapping[str, str]) -> tuple[KrlProgram, RobotProgram]:

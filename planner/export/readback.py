@@ -609,19 +609,36 @@ def judge(plan: Plan, program: RobotProgram, played: Played) -> Readback:
 # ----------------------------------------------------------------------------------------------------
 # Languages that leave postures and speeds open are played with those of the plan.
 
+COARSE = 0.05  # of a speed in a bead: the most that steps of a language may change it by
+SAID = 1e-9  # m/s to which a speed that was read is the one that was written
 FAST = 100.0  # m/s, rad/s: a speed that a program leaves open does not slow the robot down; its joints do
 
 
-def played_differences(plan: Plan, moves: Moves, program: RobotProgram) -> list[str]:
+def played_differences(plan: Plan, moves: Moves, program: RobotProgram, stepped: Array) -> list[str]:
     """Differences of a program that was read from its plan, in words.
 
+    stepped: speed (m) [m/s] of each move in the steps of its language (`stepped_speeds`)
     Configurations that its targets do not name are those of the planned postures, which is what the controller must
     come to by itself: it gets the joints where each line begins, and keeps its configuration along lines.
     """
     if len(program.linear) != len(moves.sample) + 1:
-        found = f"it has {len(program.linear)} moves, not {len(moves.sample) + 1}"
-        return [*compare(plan, program).differences(), found]
-    return readback(plan, filled(plan, moves, program))
+        count = f"it has {len(program.linear)} moves, not {len(moves.sample) + 1}"
+        return [*compare(plan, program).differences(), count]
+    found = readback(plan, filled(plan, moves, program))
+    if found:
+        meant = readback(plan, filled(plan, moves, _unstepped(moves, program, stepped)))
+        found = min(found, meant, key=len)
+    return found
+
+
+def _unstepped(moves: Moves, program: RobotProgram, stepped: Array) -> RobotProgram:
+    """A program with the speeds that were meant, where it says these in the steps of its language and these are fine enough:
+    what a step makes a long move early or late by the next ones make up for, and no finer speed can be said."""
+    written, meant = program.speed[1:, 0], moves.speed
+    near = moves.laid & (np.abs(written - stepped) <= SAID) & (np.abs(stepped - meant) <= COARSE * meant)
+    speed = program.speed.copy()
+    speed[1:, 0] = np.where(near, meant, written)
+    return replace(program, speed=speed)
 
 
 def filled(plan: Plan, moves: Moves, program: RobotProgram) -> RobotProgram:

@@ -439,7 +439,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     script, written = _read(plan, files)
     moves = moves_with_arcs(plan)
     return [
-        *played_differences(plan, moves, written),
+        *played_differences(plan, moves, written, stepped_speeds(moves, 10.0**-SPEED)),
         *blend_differences(plan, written),
         *_early(written),
         *_joint_moves(plan, moves, script),
