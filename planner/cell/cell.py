@@ -160,9 +160,17 @@ class Cell:
     @property
     def T_world_foot(self) -> Array:
         """Where the arm's own base stands (4, 4), with the joints at 0 that carry it and may move."""
+        return self._foot(np.zeros(self.rails))
+
+    @property
+    def T_world_foot_home(self) -> Array:
+        """Where the arm's own base stands (4, 4) at home."""
+        return self._foot(self.home[: self.rails])
+
+    def _foot(self, q: Array) -> Array:
         if not isinstance(self.inverse, OnRail):
             return self.T_world_base
-        T: Array = self.T_world_base @ self.inverse.rail.poses(np.zeros((1, self.rails)))[0]
+        T: Array = self.T_world_base @ self.inverse.rail.poses(q[None])[0]
         return T
 
     @property
@@ -276,13 +284,6 @@ class Cell:
         if not isinstance(self.inverse, SphericalWrist):
             raise Refusal(f"this cannot be done yet with {self.arm_robot.name}: its wrist is not spherical")
         return self.inverse
-
-    @property
-    def T_world_foot_home(self) -> Array:
-        """Where the arm stands (4, 4) at home: its base, or where what carries it has that."""
-        if not isinstance(self.inverse, OnRail):
-            return self.T_world_base
-        return np.asarray(self.T_world_base @ self.inverse.rail.poses(self.home[None, : self.rails])[0])
 
     def flange_of_second_arm(self, q: Array) -> Array:
         """Its poses in the world (m, 4, 4), at the free joints q (m, k) of what moves the part."""
