@@ -65,6 +65,17 @@ def swing(cell: Cell, a: list[float], b: list[float], step: float = 0.004) -> li
     return [Piece(between(np.radians(a), np.radians(b), step))]
 
 
+def turned_by_a_table(radius: float) -> tuple[Toolpath, list[Piece]]:
+    """A wall 90 mm high at a radius [m] of a table that makes a whole turn, while the arm stands aside."""
+    ends = np.array([[radius, -0.02, 0.0], [radius, 0.02, 0.0]])
+    beads = [straight_bead(*(ends + [0.0, 0.0, z]), f"wall {k}", k) for k, z in enumerate(5e-3 * np.arange(1, 19))]
+    beads = [replace(bead, height=np.full(60, 5e-3), width=np.full(60, 5e-3)) for bead in beads]
+    still = np.radians([90.0, 0, 0, 0, 90, 0])
+    laid = [Piece(np.append(still, 0.0)[None], i, np.array([bead.length])) for i, bead in enumerate(beads)]
+    turn = np.column_stack([np.tile(still, (400, 1)), np.linspace(0.0, 2.0 * np.pi, 400)])
+    return toolpath_of(beads), [*laid, Piece(turn)]
+
+
 @pytest.mark.slow
 def test_1_an_arm_link_and_a_fixture(tmp_path: Path) -> None:
     a, hit, b = [-40.0, 20, 10, 0, 60, 0], [10.0, 20, 10, 0, 60, 0], [40.0, 20, 10, 0, 60, 0]
@@ -187,6 +198,31 @@ def test_6_what_the_table_carries_and_the_arms_foot(tmp_path: Path) -> None:
             worst = found.approaches[0]
             assert "clamp" in (worst.a, worst.b)
             assert "base_link" in worst.a + worst.b or "link_1" in worst.a + worst.b
+
+
+@pytest.mark.parametrize(("height", "what"), [(200, "link_1"), (20, "base_link")], ids=["arm", "foot"])
+def test_6_what_the_table_has_printed_and_the_arms_foot(tmp_path: Path, height: int, what: str) -> None:
+    """In one whole turn: at both of its ends the print is on the far side of the table."""
+    lines = f"  positioner: {{robot: irbp_a250, origin_mm: [500, 0, {height}], free: [rotation]}}\n"
+    problem, cell = scene(tmp_path, lines)
+    for radius, fails in ((0.365, True), (0.25, False)):
+        found = look(problem, cell, *turned_by_a_table(radius))
+        assert found.failed == ({ARM} if fails else set())
+        if fails:
+            worst = found.approaches[0]
+            assert what in worst.a and worst.b.startswith("bead") and worst.distance < 0.0
+
+
+def test_6_what_the_table_has_printed_and_a_fixture(tmp_path: Path) -> None:
+    post = WALL % ("20, 20, 60", "500, -360, 250")
+    problem, cell = scene(
+        tmp_path, "  positioner: {robot: irbp_a250, origin_mm: [500, 0, 200], free: [rotation]}\n" + post
+    )
+    for radius, fails in ((0.36, True), (0.3, False)):
+        found = look(problem, cell, *turned_by_a_table(radius))
+        assert found.failed == ({ARM} if fails else set())
+        if fails:
+            assert found.approaches[0].a == "wall" and found.approaches[0].b.startswith("bead")
 
 
 def test_7_the_second_arm_and_the_first(tmp_path: Path) -> None:

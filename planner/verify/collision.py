@@ -19,13 +19,24 @@ from planner.cell.bodies import NOZZLE, OF
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, Mesh, Packed, packed
 from planner.cell.urdf import link_frame
-from planner.collision.point_tree import SolidNumbers, least_distances, search_room
+from planner.collision.point_tree import PointTree, SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
 from planner.plan import Approach, Check, Trajectory
 from planner.plan.plan import by_nozzle
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
-from planner.verify.bodies import ARM, FIXTURE, HEAD, CellBodies, CheckedBody, Distances, Pair, all_at_home, pairs
+from planner.verify.bodies import (
+    ARM,
+    CARRIED,
+    FIXTURE,
+    HEAD,
+    CellBodies,
+    CheckedBody,
+    Distances,
+    Pair,
+    all_at_home,
+    pairs,
+)
 from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, place
 from planner.verify.nozzle import Nearness, asked_at, check_nozzle, print_times
 
@@ -62,9 +73,9 @@ class PrintPair:
     swing: Array
 
 
-def print_pairs(bodies: CellBodies, need: float) -> tuple[PrintPair, ...]:
-    """Pairs of the print with links and, where the part turns, with fixtures; meshes, which may be hollow, are left out."""
-    turning = CellBodies.swing(bodies, part_thing(bodies))
+def print_pairs(bodies: CellBodies, need: float, tree: PointTree) -> tuple[PrintPair, ...]:
+    """Pairs of the print, points in a tree, with links and, where the part moves, with fixtures; hollow meshes are left out."""
+    turning = bodies.swing(part_thing(bodies, tree))
     found = []
     for i, thing in enumerate(bodies.things):
         swing = bodies.swing(thing) + turning
@@ -80,8 +91,8 @@ def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body:
     return _Sweep(bodies, pairs, q, body, now).done()
 
 
-def part_thing(bodies: CellBodies) -> CheckedBody:
-    """The part frame as a body of no size, with what carries it."""
+def part_thing(bodies: CellBodies, tree: PointTree) -> CheckedBody:
+    """Part and print, points in a tree, as a body with what carries it; in the part frame."""
     cell = bodies.cell
     robot = cell.holder_robot
     if robot is None:
@@ -90,7 +101,8 @@ def part_thing(bodies: CellBodies) -> CheckedBody:
         joints = robot.model.njoints - 1
         carrier = len(cell.arm) + joints
         T = robot.model.frames[link_frame(robot.model, robot.tip)].placement.homogeneous @ cell.T_plate_part
-    return CheckedBody("part", "carried", carrier, joints, None, T, None, T, T[:3, 3], 0.0)  # type: ignore[arg-type]
+    centre, reach = T[:3, :3] @ tree.centre[0] + T[:3, 3], float(tree.reach[0])
+    return CheckedBody("part", CARRIED, carrier, joints, None, T, None, T, centre, reach)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -120,7 +132,8 @@ def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, 
     for own, rows in by_nozzle(cell, t.events, t.t):
         if own.in_use not in known:
             bodies = CellBodies.of(own)
-            known[own.in_use] = bodies, pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm)
+            hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm, alone.tree)
+            known[own.in_use] = bodies, hits, near_print
         bodies, hits, near_print = known[own.in_use]
         swept = sweep(bodies, (*hits, *near_print), np.ascontiguousarray(t.q[rows]), alone, now[rows])
         found.append(Apart(rows, bodies, hits, near_print, swept))
@@ -220,7 +233,7 @@ class _Sweep:
         np.abs(self.turned, out=self.turned)
         np.cumsum(self.turned, axis=0, out=self.turned)
         self.coal, self.room = Distances(bodies), search_room()
-        self.part = part_thing(bodies)
+        self.part = part_thing(bodies, body.tree)
         p = len(pairs)
         self.need, self.swing = np.array([pair.need for pair in pairs]), np.array([pair.swing for pair in pairs])
         self.printed = np.array([isinstance(pair, PrintPair) for pair in pairs])
@@ -235,9 +248,6 @@ class _Sweep:
             )
             for side in (first, second)
         ]
-        root, T = self.tree.centre[0], self.part.T_carrier_solid
-        self.balls[1][1][self.printed] = T[:3, :3] @ root + T[:3, 3]
-        self.balls[1][2][self.printed] = self.tree.reach[0]
         self.solids: dict[int, Packed] = {
             pair.a: packed([Body(things[pair.a].name, things[pair.a].solid, things[pair.a].T_carrier_solid)])
             for pair in pairs
