@@ -66,14 +66,19 @@ def swing(cell: Cell, a: list[float], b: list[float], step: float = 0.004) -> li
 
 
 def turned_by_a_table(radius: float) -> tuple[Toolpath, list[Piece]]:
-    """A wall 90 mm high at a radius [m] of a table that makes a whole turn, while the arm stands aside."""
+    """A wall at a radius [m] of a table that makes a whole turn, while the arm stands aside."""
+    return wall_that_moves(radius, np.linspace(0.0, 2.0 * np.pi, 400)[:, None])
+
+
+def wall_that_moves(radius: float, q: Array) -> tuple[Toolpath, list[Piece]]:
+    """A wall 90 mm high at x = radius [m], printed at the first of a holder's postures q (n, k), then moved through all."""
     ends = np.array([[radius, -0.02, 0.0], [radius, 0.02, 0.0]])
     beads = [straight_bead(*(ends + [0.0, 0.0, z]), f"wall {k}", k) for k, z in enumerate(5e-3 * np.arange(1, 19))]
     beads = [replace(bead, height=np.full(60, 5e-3), width=np.full(60, 5e-3)) for bead in beads]
     still = np.radians([90.0, 0, 0, 0, 90, 0])
-    laid = [Piece(np.append(still, 0.0)[None], i, np.array([bead.length])) for i, bead in enumerate(beads)]
-    turn = np.column_stack([np.tile(still, (400, 1)), np.linspace(0.0, 2.0 * np.pi, 400)])
-    return toolpath_of(beads), [*laid, Piece(turn)]
+    way = np.column_stack([np.tile(still, (len(q), 1)), q])
+    laid = [Piece(way[:1], i, np.array([bead.length])) for i, bead in enumerate(beads)]
+    return toolpath_of(beads), [*laid, Piece(way)]
 
 
 @pytest.mark.slow
@@ -213,8 +218,11 @@ def test_6_what_the_table_has_printed_and_the_arms_foot(tmp_path: Path, height: 
             assert what in worst.a and worst.b.startswith("bead") and worst.distance < 0.0
 
 
-def test_6_what_the_table_has_printed_and_a_fixture(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mesh", [False, True], ids=["box", "mesh"])
+def test_6_what_the_table_has_printed_and_a_fixture(tmp_path: Path, mesh: bool) -> None:
+    trimesh.creation.box([20, 20, 60]).export(tmp_path / "post.stl")
     post = WALL % ("20, 20, 60", "500, -360, 250")
+    post = post.replace("box_mm: [20, 20, 60]", "mesh: post.stl") if mesh else post
     problem, cell = scene(
         tmp_path, "  positioner: {robot: irbp_a250, origin_mm: [500, 0, 200], free: [rotation]}\n" + post
     )
@@ -223,6 +231,33 @@ def test_6_what_the_table_has_printed_and_a_fixture(tmp_path: Path) -> None:
         assert found.failed == ({ARM} if fails else set())
         if fails:
             assert found.approaches[0].a == "wall" and found.approaches[0].b.startswith("bead")
+
+
+def test_6_a_hollow_fixture_is_said_not_to_be_held_against_a_print_that_moves(tmp_path: Path) -> None:
+    trimesh.creation.annulus(10.0, 15.0, 60.0).export(tmp_path / "pipe.stl")
+    pipe = "  fixtures: {pipe: {mesh: pipe.stl, centre_mm: [500, -360, 250]}}\n"
+    for carrier, told in ((TABLE, True), (BED, False)):
+        problem, cell = scene(tmp_path, carrier + pipe)
+        still = Piece(np.tile(cell.home, (3, 1)))
+        assert (
+            "not checked: print and pipe, hollow" in look(problem, cell, one_bead(), [still]).checks[ARM].where
+        ) == told
+
+
+def test_7_the_second_arm_and_what_is_printed_on_it(tmp_path: Path) -> None:
+    """Its wrist bends so far that the wall, which is 0.15 m beside the flange, comes to the forearm, and back."""
+    lines = (
+        "  positioner:\n    robot: irb1200_09\n    base_mm: [1500, 0, 0]\n    turn_deg: 180\n"
+        "    free: [joint_5, joint_6]\n    held_deg: {joint_2: 40, joint_3: 10}\n"
+    )
+    problem, cell = scene(tmp_path, lines)
+    for degrees, fails in ((125.0, True), (80.0, False)):
+        bent = np.radians(degrees) * np.sin(np.linspace(0.0, np.pi, 400))
+        found = look(problem, cell, *wall_that_moves(0.15, np.column_stack([bent, np.zeros(400)])))
+        assert found.failed == ({ARM} if fails else set())
+        if fails:
+            worst = found.approaches[0]
+            assert worst.a.startswith("holder link_4") and worst.b.startswith("bead")
 
 
 def test_7_the_second_arm_and_the_first(tmp_path: Path) -> None:

@@ -222,11 +222,15 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
                 yield i, j, 0
 
 
+def many_postures(cell: Cell) -> Array:
+    """Postures (n, nq) at random: what is too near in all of them is built that way."""
+    limits = cell.limits
+    return np.random.default_rng(0).uniform(limits.q_min, limits.q_max, (_TRIED, len(limits.q_min)))
+
+
 def _without_joined(bodies: CellBodies, found: tuple[Pair, ...]) -> tuple[Pair, ...]:
     """Without pairs of one robot that are too near in all of many postures: they are built that way."""
-    limits = bodies.cell.limits
-    q = np.random.default_rng(0).uniform(limits.q_min, limits.q_max, (_TRIED, len(limits.q_min)))
-    poses = bodies.poses(q)
+    poses = bodies.poses(many_postures(bodies.cell))
     distance = Distances(bodies)
     return tuple(
         pair

@@ -17,7 +17,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints
 from planner.cell.bodies import NOZZLE, OF
 from planner.cell.cell import Cell
-from planner.cell.solids import Body, Mesh, Packed, packed
+from planner.cell.solids import Body, ConvexSolid, Mesh, Packed, packed
 from planner.cell.urdf import link_frame
 from planner.collision.point_tree import PointTree, SolidNumbers, least_distances, search_room
 from planner.collision.print_body import PrintBody
@@ -30,11 +30,13 @@ from planner.verify.bodies import (
     CARRIED,
     FIXTURE,
     HEAD,
+    HOLDER,
     CellBodies,
     CheckedBody,
     Distances,
     Pair,
     all_at_home,
+    many_postures,
     pairs,
 )
 from planner.verify.checks import DIGITS, FAR, TOLERANCE, Findings, Judged, place
@@ -66,22 +68,47 @@ class Swept:
 
 @dataclass(frozen=True)
 class PrintPair:
-    """A body (index) that can come near part and print, the distance that it is to keep [m], and its swing (see Pair)."""
+    """A body (index) that can come near part and print, the distance that it is to keep [m], its swing (see Pair), and the
+    body as a convex solid."""
 
     a: int
     need: float
     swing: Array
+    solid: ConvexSolid
 
 
-def print_pairs(bodies: CellBodies, need: float, tree: PointTree) -> tuple[PrintPair, ...]:
-    """Pairs of the print, points in a tree, with links and, where the part moves, with fixtures; hollow meshes are left out."""
-    turning = bodies.swing(part_thing(bodies, tree))
+def print_pairs(bodies: CellBodies, need: float, body: PrintBody) -> tuple[PrintPair, ...]:
+    """Pairs of part and print with links and, where the part moves, with fixtures; hollow meshes are left out.
+
+    Of the robot that holds the part, links that carry all of its free joints stand with it; those that are too near to the
+    part in whatever posture are built that way.
+    """
+    part = part_thing(bodies, body.tree)
     found = []
     for i, thing in enumerate(bodies.things):
-        swing = bodies.swing(thing) + turning
-        if thing.kind in (ARM, FIXTURE) and swing.any() and not isinstance(thing.solid, Mesh):
-            found.append(PrintPair(i, need, swing))
-    return tuple(found)
+        if thing.kind not in (ARM, HOLDER, FIXTURE):
+            continue
+        holds = thing.kind == HOLDER
+        swing = bodies.swing(part, thing.joints) if holds else bodies.swing(thing) + bodies.swing(part)
+        solid = thing.solid.filled if isinstance(thing.solid, Mesh) else thing.solid
+        if swing.any() and solid is not None:
+            found.append(PrintPair(i, need, swing, solid))
+    return _without_joined(bodies, tuple(found), body)
+
+
+def _without_joined(bodies: CellBodies, found: tuple[PrintPair, ...], body: PrintBody) -> tuple[PrintPair, ...]:
+    """Without links of the robot that holds the part that are too near to it in all of many postures, before the print."""
+    if not any(bodies.things[pair.a].kind == HOLDER for pair in found):
+        return found
+    q = many_postures(bodies.cell)
+    now, poses = np.zeros(len(q)), bodies.poses(q)
+    looks = _Sweep(bodies, found, q, body, now)
+    return tuple(
+        pair
+        for pair in found
+        if bodies.things[pair.a].kind != HOLDER
+        or looks.from_print(pair, poses, np.arange(len(q)), now)[0].max() >= pair.need
+    )
 
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
@@ -132,7 +159,7 @@ def sweep_cell(problem: Problem, cell: Cell, toolpath: Toolpath, t: Trajectory, 
     for own, rows in by_nozzle(cell, t.events, t.t):
         if own.in_use not in known:
             bodies = CellBodies.of(own)
-            hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm, alone.tree)
+            hits, near_print = pairs(bodies, spec.nozzle, spec.arm), print_pairs(bodies, spec.arm, alone)
             known[own.in_use] = bodies, hits, near_print
         bodies, hits, near_print = known[own.in_use]
         swept = sweep(bodies, (*hits, *near_print), np.ascontiguousarray(t.q[rows]), alone, now[rows])
@@ -158,7 +185,9 @@ def keep_apart(
     swept_nearest = np.concatenate([each.swept.nearest for each in apart])
     checks = (
         check_nozzle(judged, near),
-        _check("arm clear of part and print", prints, spec.arm, t, _unknown(cell)),
+        _check(
+            "arm clear of part and print", prints, spec.arm, t, "; ".join(filter(None, (_unknown(cell), _hollow(cell))))
+        ),
         _check("robots clear of each other and of fixtures", robots, spec.arm, t, _unknown(cell)),
     )
     nozzle = []
@@ -249,7 +278,7 @@ class _Sweep:
             for side in (first, second)
         ]
         self.solids: dict[int, Packed] = {
-            pair.a: packed([Body(things[pair.a].name, things[pair.a].solid, things[pair.a].T_carrier_solid)])
+            pair.a: packed([Body(things[pair.a].name, pair.solid, things[pair.a].T_carrier_solid)])
             for pair in pairs
             if isinstance(pair, PrintPair)
         }
@@ -335,13 +364,13 @@ class _Sweep:
             distance = self.coal.along(pair, poses[which])
             point = np.full(len(distance), -1)
         else:
-            distance, point = self._from_print(pair, poses, which, self._printed(instant))
+            distance, point = self.from_print(pair, poses, which, self._printed(instant))
         best = int(np.argmin(distance))
         if distance[best] < self.least[k]:
             self.least[k], self.at[k], self.points[k] = distance[best], instant[best] / _PARTS, point[best]
         return distance
 
-    def _from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
+    def from_print(self, pair: PrintPair, poses: Array, which: Ints, now: Array) -> tuple[Array, Ints]:
         """Distances (n) of a body from what is printed at times now (n), and the nearest points (n) or -1.
 
         Distances are _SEEN at most, and within _ABOUT beyond FAR.
@@ -403,3 +432,10 @@ def _unknown(cell: Cell) -> str:
     robots = [robot for robot in (cell.arm_robot, cell.holder_robot) if robot is not None]
     names = [robot.name for robot in robots if not any(robot.bodies)]
     return f"not checked: {' and '.join(names)}, without bodies" if names else ""
+
+
+def _hollow(cell: Cell) -> str:
+    """Which fixtures are not held against a print that moves, since they do not fill their hulls; empty if there are none."""
+    meshes = [body for body in cell.fixtures if isinstance(body.solid, Mesh) and body.solid.filled is None]
+    names = " and ".join(body.name for body in meshes)
+    return f"not checked: print and {names}, hollow" if meshes and len(cell.holder) else ""
