@@ -65,6 +65,13 @@ WINGS = [name for name in PRINTS if "wing" in name]
 CORES = [name for name in PRINTS if "core" in name]
 SOLIDS = ["box", "hill"]
 SHEETS = ["faces", "faces twice"]
+SOME = {
+    "four layers": WING.format("", ", count: 4"),
+    "four layers of wing and support": WING.format(
+        ", method: planar", ", count: 4, support: {length_mm: 40, height_mm: 5.4, infill: 0.5}"
+    ),
+    "core of four layers": CORE.format(", count: 4"),
+}
 FEW = ("wing",)  # of which all is tried in quick tests
 
 
@@ -236,6 +243,18 @@ def test_lost_layers_and_beads(name: str) -> None:
         lost_layer = sorted(layers)[len(layers) // 3]
         fewer = [bead for bead in toolpath.beads if bead.layer != lost_layer]
         assert failed(found(problem, toolpath, fewer, body)) & lost
+
+
+@pytest.mark.slow(keep=("box", "core of four layers"))
+@pytest.mark.parametrize("name", [*SOLIDS, *SOME])
+def test_lost_last_layers(name: str) -> None:
+    """Of a filled mesh, and where so many layers are asked for: those that are printed do not tell how many there are to be."""
+    problem, toolpath = printed(SOME.get(name) or PRINTS[name])
+    assert not failed(found(problem, toolpath))
+    body, top = print_body(toolpath), max(bead.layer for bead in toolpath.beads)
+    for last in (top, top - 1):
+        fewer = [bead for bead in toolpath.beads if bead.layer < last]
+        assert failed(found(problem, toolpath, fewer, body)) & {FILLED, LEFT}
 
 
 @pytest.mark.slow

@@ -193,14 +193,16 @@ def _left_out(
     slope_low, slope_high = (-each[:, :2] / each[:, 2:] for each in slopes)
     printed = dict(by_number(which))
     first = min(printed) if judged.trajectory.first_bead else -1
-    last = max(printed) if spec.count is not None else len(layers)
+    last, before = max(printed), 0  # layers before that may have been laid
     worst = 0.0
     where = EVERYWHERE
     for k, layer in enumerate(layers):
-        if not first < k <= last:
+        slope = np.arctan(np.linalg.norm(layer.body * slope_low + layer.middle * slope_high, axis=1))
+        asked = k <= last or spec.count is None or before < spec.count
+        before += bool(((high - low >= layer.room - unsure) & (slope <= spec.tilt + _STEEP)).any())
+        if k <= first or not asked:
             continue
-        slope = np.linalg.norm(layer.body * slope_low + layer.middle * slope_high, axis=1)
-        there = (high - low >= layer.room + unsure) & (np.arctan(slope) <= spec.tilt - _STEEP)
+        there = (high - low >= layer.room + unsure) & (slope <= spec.tilt - _STEEP)
         there = _pieces(there, line, weight, _PIECE * judged.problem.process.bead.width)
         own = printed.get(k, np.zeros(0, dtype=np.int64))
         cut = np.flatnonzero(np.diff(places.bead[own])) + 1

@@ -6,6 +6,7 @@ to within their distance; its walls and its infill are held against it. Lengths 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -140,7 +141,7 @@ def volume(judged: Judged, places: Places) -> Iterator[Check]:
         yield not_read("no layer lies between the lower and the upper surface")
         return
     yield from _heights(judged, stack, places)
-    layers = {k: _Layer.of(body, stack, k, off_facets(judged)) for k in range(int(places.layer.max()) + 1)}
+    layers = dict(_layers(body, stack, int(places.layer.max()), width, off_facets(judged)))
     known = float(np.mean([layer.known.mean() for layer in layers.values()]))
     if known < _KNOWN:
         yield Check(INSIDE, 0.0, 0.0, "mm", True, f"not read again: {1.0 - known:.0%} of lines end inside the body")
@@ -224,6 +225,15 @@ class _Layer:
         surely, perhaps = (depth_of(each, steps) for each in (here[0] & here[1], here[0] | here[1]))
         z = stack.at(layer + 1.0)(body.plane).reshape(body.shape)
         return cls(surely, perhaps, found[0][1] & found[1][1], z)
+
+
+def _layers(body: BodyFacets, stack: Stack, last: int, width: float, off: float) -> Iterator[tuple[int, _Layer]]:
+    """The layers from the first one up to the last that is printed, and beyond it as long as a bead has room in them."""
+    for k in itertools.count():
+        layer = _Layer.of(body, stack, k, off)
+        if k > last and not ((layer.depth >= 0.5 * width) & layer.known).any():
+            return
+        yield k, layer
 
 
 def _outlines(

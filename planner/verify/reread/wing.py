@@ -7,7 +7,8 @@ they lie on. Lengths are metres in the part frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -164,7 +165,7 @@ def wing(judged: Judged, places: Places) -> Iterator[Check]:
         first = int(which.min())
         wanted = [k for k in wanted if k > first and not _at_one_height(found[k][0], found[first][0])]
     if spec.count is not None:
-        last = int(which.max())  # layers that are hardly one may count or not
+        last = max(int(which.max()), _last_of(spec.count, [found[k][0] for k in known], known))
         wanted = [k for k in wanted if k <= last]
     yield filled(replace(places, layer=which), {k: asked[k] for k in wanted}, 0.0, _NARROW)
 
@@ -195,6 +196,16 @@ def _layers(body: Wing) -> Iterator[WingLayer]:
         yield WingLayer("lower", (k + 1) * height, (k + 1 + _APART["lower"]) * height, width)
     for k in range(most, -1, -1):
         yield WingLayer("upper", k * height, (k + _APART["upper"]) * height, width)
+
+
+def _last_of(count: int, layers: Sequence[WingLayer], known: Sequence[int]) -> int:
+    """The number of the last of so many layers from the first: of wing and support at one height both are one.
+
+    Layers that are hardly one count here, and may not have been counted: then more are printed.
+    """
+    one = [a.kind == "under" and b.kind == "cut" and a.at == b.at for a, b in itertools.pairwise(layers)]
+    counted = np.cumsum([1, *np.logical_not(one)])
+    return known[int(np.searchsorted(counted, count, side="right")) - 1]
 
 
 def _on_layers(body: Wing, layers: dict[int, tuple[WingLayer, PlaceGrid]], places: Places) -> tuple[Array, Array, Ints]:
