@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -34,8 +35,8 @@ def bead_along(x: float, z: float, lean: float = 0.0, count: int = 60) -> tuple[
     return np.column_stack([np.full(count, x), y, np.full(count, z)]), np.tile(axis, (count, 1))
 
 
-def judged_of(*beads: tuple[Array, Array]) -> Judged:
-    """What `deepest` looks at, of beads that are laid one after the other."""
+def judged_of(*beads: tuple[Array, Array], heights: Sequence[Array | float] | None = None) -> Judged:
+    """What `deepest` looks at, of beads that are laid one after the other; heights of each [m]."""
     tip, axis = (np.concatenate([each[k] for each in beads]) for k in (0, 1))
     number = np.repeat(np.arange(len(beads), dtype=np.int32), [len(each[0]) for each in beads])
     number.setflags(write=False)  # as a trajectory's, and the axis part of the rotation: compiled once
@@ -47,9 +48,9 @@ def judged_of(*beads: tuple[Array, Array]) -> Judged:
             SimpleNamespace(
                 s=STEP * np.arange(len(each)), length=STEP * (len(each) - 1), points=each,
                 normals=np.tile([0.0, 0.0, 1.0], (len(each), 1)),
-                width=np.full(len(each), WIDTH), height=np.full(len(each), HEIGHT),
+                width=np.full(len(each), WIDTH), height=np.broadcast_to(height, len(each)).astype(float),
             )
-            for each, _ in beads
+            for (each, _), height in zip(beads, heights or [HEIGHT] * len(beads), strict=True)
         ]
     )  # fmt: skip
     t = SimpleNamespace(
@@ -73,6 +74,29 @@ def test_a_nozzle_that_runs_lower_presses_by_as_much(lower: float) -> None:
     found = deepest(judged_of(bead_along(0.0, HEIGHT), bead_along(0.6e-3, HEIGHT - lower)))
     assert found.depth == pytest.approx(lower, abs=0.016 * HEIGHT)
     assert (found.bead, found.at >= 60) == (0, True)
+
+
+def test_the_share_of_a_bead_s_height_counts_not_the_depth() -> None:
+    """0.2 mm into a bead that is 1 mm high are less than 0.15 mm into one of 0.2 mm beside it."""
+    high, low = bead_along(0.0, 1.0e-3), bead_along(10e-3, 0.2e-3)
+    over = bead_along(0.4e-3, 0.8e-3), bead_along(10.4e-3, 0.05e-3)
+    judged = judged_of(high, low, *over, heights=(1.0e-3, 0.2e-3, 0.5e-3, 0.5e-3))
+    found, (check,) = deepest(judged), pressed(judged).checks
+    assert (found.bead, found.share) == (1, pytest.approx(0.75, abs=0.05))
+    assert found.depth == pytest.approx(0.15e-3, abs=0.01e-3)
+    assert found.greatest == pytest.approx(0.2e-3, abs=0.02e-3)
+    assert pressed(judged).metrics["nozzle_pressed_max_mm"] == found.greatest * 1e3
+    assert not check.ok and "bead 1" in check.where
+
+
+def test_a_bead_that_thins_is_judged_where_it_is_pressed() -> None:
+    """0.1 mm into its 0.5 mm, though its end is but 0.1 mm high."""
+    thins = np.append(np.full(50, HEIGHT), np.linspace(HEIGHT, 0.1e-3, 50))
+    judged = judged_of(
+        bead_along(0.0, HEIGHT, count=100), bead_along(0.6e-3, HEIGHT - 0.1e-3, count=30), heights=(thins, HEIGHT)
+    )
+    (check,) = pressed(judged).checks
+    assert check.ok and check.worst == pytest.approx(0.2, abs=0.02)
 
 
 def test_its_own_bead_and_what_comes_later_do_not_count() -> None:

@@ -10,7 +10,7 @@ All is in the part frame, in metres; n counts samples, m rows of balls.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,7 @@ class LaidRows(NamedTuple):
     """What is laid: rows (m) of balls across beads, in the order of their cells' keys, cells (c) of a grid.
 
     centre (m, 3), half (m, 3) [m]   middle of each row, and the way from there to its last ball
-    radius (m) [m], across (m)       of the balls of each row, and their number
+    radius (m) [m], across (m)       of the balls of each row, and their number; height (m) [m] of the bead there
     when (m)                         sample, and share of the way to the next, at which the tip passes
     bead (m)                         which bead they are of
     first (c + 1), key (c), since (c)   first row of each cell, its key, and the first time in it
@@ -45,6 +45,7 @@ class LaidRows(NamedTuple):
     half: Array
     radius: Array
     across: Ints
+    height: Array
     when: Array
     bead: Ints
     first: Ints
@@ -58,29 +59,30 @@ class LaidRows(NamedTuple):
 
 @dataclass(frozen=True)
 class Pressed:
-    """The deepest overlap of nozzle and print: depth [m], at sample `at` in bead `bead`, `away` [m] from the tip; 0 and -1
-    where nothing overlaps."""
+    """The worst overlap of nozzle and print: share of the bead's height there, depth [m], at sample `at` in bead `bead`, `away`
+    [m] from the tip; and the greatest depth of all [m]. 0 and -1 where nothing overlaps."""
 
+    share: float = 0.0
     depth: float = 0.0
     at: int = -1
     bead: int = -1
     away: float = 0.0
+    greatest: float = 0.0
 
 
 def pressed(judged: Judged) -> Findings:
     """The check of how deep the nozzle presses into beads printed before, as a share of their height."""
-    found, share, where = deepest(judged), 0.0, EVERYWHERE
+    found, where = deepest(judged), EVERYWHERE
     if found.at >= 0:
-        share = found.depth / float(judged.toolpath.beads[found.bead].height.min())
         where = f"{found.depth * 1e3:.3f} mm into bead {found.bead}, {found.away * 1e3:.1f} mm from the tip, "
         where += place(judged.trajectory, found.at)
-    ok = share <= LIMIT * (1.0 + DIGITS)
-    check = Check("print pressed by the nozzle", share, LIMIT, "of a bead's height", ok, where, sample=found.at)
-    return Findings((check,), {"nozzle_pressed_max_mm": found.depth * 1e3})
+    ok = found.share <= LIMIT * (1.0 + DIGITS)
+    check = Check("print pressed by the nozzle", found.share, LIMIT, "of a bead's height", ok, where, sample=found.at)
+    return Findings((check,), {"nozzle_pressed_max_mm": found.greatest * 1e3})
 
 
 def deepest(judged: Judged) -> Pressed:
-    """The deepest overlap of the nozzle's outline with beads that were laid before."""
+    """The deepest overlap of the nozzle's outline with beads that were laid before, by their heights."""
     t, motion, cell = judged.trajectory, judged.motion, judged.problem.cell
     profiles = {
         own.nozzle_name: np.array(nozzle_profile(cell.nozzle_named(own.nozzle_name))) for own, _ in judged.stretches
@@ -93,11 +95,13 @@ def deepest(judged: Judged) -> Pressed:
     for own, samples in judged.stretches:
         first, last = np.searchsorted(looks, [samples.start, samples.stop])
         profile = profiles[own.nozzle_name]
-        depth, at, row, away = _deepest(
+        share, at, row, away, greatest = _deepest(
             rows, motion.tip, motion.axis, t.bead, looks[first:last], profile, reach, shaped
         )
-        if row >= 0 and depth > found.depth:
-            found = Pressed(float(depth), int(at), int(rows.bead[row]), float(away))
+        if row >= 0 and share > found.share:
+            depth = share * rows.height[row]
+            found = Pressed(float(share), float(depth), int(at), int(rows.bead[row]), float(away), found.greatest)
+        found = replace(found, greatest=max(found.greatest, float(greatest)))
     return found
 
 
@@ -164,7 +168,7 @@ def _rows(laid: Laid, size: float) -> LaidRows:
     room = 0.5 * w - radius
     across = np.ceil(room / (_APART * radius) - 1e-6).astype(np.int64) + 1
     half = np.where(across > 1, room, 0.0)[:, None] * side
-    balls = Balls(there(tip) - radius[:, None] * up, half, radius, across)
+    balls = Balls(there(tip) - radius[:, None] * up, half, radius, across, h)
     return _in_cells(balls, there(sample), bead[starts][of], size)
 
 
@@ -175,6 +179,7 @@ class Balls(NamedTuple):
     half: Array
     radius: Array
     across: Ints
+    height: Array
 
 
 def _in_cells(balls: Balls, when: Array, bead: Ints, size: float) -> LaidRows:
@@ -190,9 +195,8 @@ def _in_cells(balls: Balls, when: Array, bead: Ints, size: float) -> LaidRows:
     bits = max(4, int(np.ceil(np.log2(4.0 * len(keys)))))
     table = _table(keys, bits)
     return LaidRows(
-        centre[order], balls.half[order], balls.radius[order], balls.across[order], when[order], bead[order],
-        np.append(first, len(order)), keys, since,
-        table, low, wide, size,
+        centre[order], balls.half[order], balls.radius[order], balls.across[order], balls.height[order], when[order],
+        bead[order], np.append(first, len(order)), keys, since, table, low, wide, size,
     )  # fmt: skip
 
 
@@ -250,13 +254,14 @@ def outline_distance(profile, r, z):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
-    """The greatest overlap [m] of the nozzle with balls laid before, its sample and row, or -1, and how far the ball is from
-    the tip [m].
+    """The greatest overlap of the nozzle with balls laid before, as a share of their bead's height, its sample and row, or -1,
+    how far the ball is from the tip [m], and the greatest depth of all [m].
 
     Only balls within `reach` [m] of the tip are looked at, and of the bead that is being laid none that was laid on the last
     `shaped` [m] of its way.
     """
     centre, half, radius, across, when, whose = rows.centre, rows.half, rows.radius, rows.across, rows.when, rows.bead
+    height, lowest = rows.height, rows.height.min()
     first, since, key, table, low, wide, size = (
         rows.first, rows.since, rows.key, rows.table, rows.low, rows.wide, rows.size,
     )  # fmt: skip
@@ -268,7 +273,8 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
         widest = max(widest, half[i, 0] ** 2 + half[i, 1] ** 2 + half[i, 2] ** 2)
     widest = np.sqrt(widest)
     span = 0.5 * np.sqrt(3.0) * size + thickest + widest
-    best, where, which, apart = 0.0, _ZERO - 1, _ZERO - 1, 0.0
+    best, where, which, apart, greatest = 0.0, _ZERO - 1, _ZERO - 1, 0.0, 0.0
+    beat = 0.0  # m: no depth up to this one is a greater share of any height
     from_, to = np.empty(3, np.int64), np.empty(3, np.int64)
     for j in looks:
         p, a = tip[j], axis[j]
@@ -285,7 +291,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
                     if z < -span:
                         continue
                     r = np.sqrt(max(vx * vx + vy * vy + vz * vz - z * z, 0.0))
-                    if outline_distance(profile, r, z) > span - best:
+                    if outline_distance(profile, r, z) > span - beat:
                         continue
                     k = (cx * wide[1] + cy) * wide[2] + cz
                     at = np.int64((np.uint64(k) * np.uint64(_MIXES)) >> np.uint64(64 - bits))
@@ -300,21 +306,27 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
                         hx, hy, hz = half[i, 0], half[i, 1], half[i, 2]
                         mx, my, mz = centre[i, 0] - p[0], centre[i, 1] - p[1], centre[i, 2] - p[2]
                         rise = abs(hx * a[0] + hy * a[1] + hz * a[2])
-                        if rise - (mx * a[0] + my * a[1] + mz * a[2]) < best - radius[i]:
+                        if rise - (mx * a[0] + my * a[1] + mz * a[2]) < beat - radius[i]:
                             continue  # all of the row is beneath the nozzle's face
                         for b in range(across[i]):
                             off = 2.0 * b / (across[i] - 1) - 1.0 if across[i] > 1 else 0.0
                             vx, vy, vz = mx + off * hx, my + off * hy, mz + off * hz
                             z = -(vx * a[0] + vy * a[1] + vz * a[2])
-                            if z < best - radius[i]:
+                            if z < beat - radius[i]:
                                 continue
                             away = vx * vx + vy * vy + vz * vz
                             if away > (reach + radius[i]) ** 2:
                                 continue
                             depth = radius[i] - outline_distance(profile, np.sqrt(max(away - z * z, 0.0)), z)
-                            if depth > best and not (whose[i] == bead[j] and _still_shaped(when[i], j, shaped, tip)):
-                                best, where, which, apart = depth, j, i, np.sqrt(away)
-    return best, where, which, apart
+                            share = depth / height[i]
+                            if share <= best and depth <= greatest:
+                                continue
+                            if whose[i] == bead[j] and _still_shaped(when[i], j, shaped, tip):
+                                continue
+                            greatest = max(greatest, depth)
+                            if share > best:
+                                best, where, which, apart, beat = share, j, i, np.sqrt(away), share * lowest
+    return best, where, which, apart, greatest
 
 
 @inner_njit(error_model="numpy")
