@@ -9,12 +9,13 @@ import pytest
 from collision_scenes import scene
 from numpy.typing import NDArray
 
-from planner.cell.solids import packed
+from planner.cell.cell import Cell
+from planner.cell.solids import Body, packed
 from planner.collision.point_tree import point_tree, solid_distance
 from planner.collision.print_body import TIP_SLOPE, PrintBody
 from planner.verify.bodies import CellBodies, Distances, pairs
 from planner.verify.checks import FAR
-from planner.verify.collision import sweep
+from planner.verify.collision import PrintPair, print_pairs, sweep
 from planner.verify.executed import ExecutedMotion
 from planner.verify.nozzle import beyond_the_tip, nozzle_nearness
 
@@ -64,6 +65,50 @@ def test_least_distances_are_those_of_dense_sampling(tmp_path: Path, seed: int) 
         assert found.distance[k] <= least + spare
         assert (least < pair.need - 1e-4) <= (found.distance[k] < pair.need)
     assert near > 3
+
+
+def _from_points(cell: Cell, bodies: CellBodies, pair: PrintPair, q: Array, points: Array, there: Array) -> Array:
+    """Distances (n) of a pair's body from those of points (m, 3) of the part that are there (n, m), at postures q (n, nq)."""
+    thing, body = bodies.things[pair.a], packed([Body("", pair.solid, np.eye(4))])
+    T_world_solid = bodies.poses(q)[:, thing.carrier] @ thing.T_carrier_solid
+    T = np.linalg.inv(T_world_solid) @ cell.holder.poses(q[:, len(cell.arm) :])
+    out = np.full(len(q), np.inf)
+    for k, own in enumerate(there):
+        local = points[own] @ T[k, :3, :3].T + T[k, :3, 3]
+        out[k] = min((solid_distance(body.kind[0], body.size[0], body.planes, *p) for p in local), default=np.inf)
+    return out
+
+
+@pytest.mark.slow(keep=1)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_print_on_a_table_that_turns_is_as_near_as_at_every_sample(tmp_path: Path, seed: int) -> None:
+    """Of links, a fixture and the table's own cradle; the print grows meanwhile."""
+    table = "  positioner: {robot: irbp_a250, origin_mm: [500, 0, 250], free: [tilt, rotation]}\n"
+    _, cell = scene(tmp_path, table + FIXTURES.split("\n", 1)[1])
+    bodies, rng, need, n = CellBodies.of(cell), np.random.default_rng(seed), 5e-3, 250
+    points = rng.uniform([-0.25, -0.25, 0.0], [0.25, 0.25, 0.2], (40, 3))
+    time = np.append(np.full(10, -np.inf), np.sort(rng.uniform(0.0, 2.0, 30)))
+    body = PrintBody(point_tree(points, 0.0, time), np.array([0, 40]), ("part",))
+    low, high = np.radians([-60, -10, -40, -90, -90, -90, -20, -300]), np.radians([60, 60, 30, 90, 90, 90, 20, 300])
+    q, now = _wandering(rng, low, high, n), np.linspace(0.0, 2.5, n)
+    near = print_pairs(bodies, need, body)
+    assert {bodies.things[pair.a].kind for pair in near} == {"arm", "fixture", "holder"}
+    found, some = sweep(bodies, near, q, body, now), 0
+    for k, pair in enumerate(near):
+        least = _from_points(cell, bodies, pair, q, points, time < now[:, None]).min()
+        if least >= FAR:
+            assert found.distance[k] >= FAR - 1e-3 or found.distance[k] < least
+            continue
+        some += 1
+        assert found.distance[k] <= least + max(1e-4, 0.2 * abs(found.distance[k] - need))
+        assert found.distance[k] < need or least >= need - 1e-4
+        at = found.at[k]
+        posture = np.array([np.interp(at, np.arange(n), column) for column in q.T])
+        there = time < now[int(np.ceil(at))]
+        assert _from_points(cell, bodies, pair, posture[None], points, there[None])[0] == pytest.approx(
+            found.distance[k]
+        )
+    assert some > 3
 
 
 @pytest.mark.slow

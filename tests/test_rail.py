@@ -25,8 +25,9 @@ from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
 from planner.place.rating import course_of, score
-from planner.plan import Plan
+from planner.plan import TRAVEL, Plan, Trajectory
 from planner.problem import Problem, load_problem
+from planner.problem.as_run import AsRunSpec
 from planner.register.finding import scene_of
 from planner.register.fitting import Placement
 from planner.register.places import reachable
@@ -42,6 +43,7 @@ from planner.resolve.sqp import free_variables
 from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
+from planner.verify.as_run import as_run
 from planner.verify.bodies import CellBodies
 from planner.verify.verdict import verify
 
@@ -766,3 +768,23 @@ def test_slopes_of_clearance_are_those_of_differences(plan: Plan) -> None:
         compared += int(known.sum())
     assert compared > 20
     assert np.abs(slope[:, :, 0]).max() > 0.1
+
+
+@pytest.mark.parametrize(("beyond", "fails"), [(-1e-3, False), (1e-3, True)])
+def test_programs_ask_a_rail_for_no_place_beyond_its_end(tmp_path: Path, beyond: float, fails: bool) -> None:
+    made = problem(tmp_path)
+    (tmp_path / "corrections.csv").write_text("bead,s_mm,dx_mm,dy_mm,dz_mm\n", encoding="utf-8")
+    learned = AsRunSpec.model_construct(corrections=tmp_path / "corrections.csv", most=1e-3)
+    cell, toolpath = build_cell(made), build_toolpath(made)
+    q = np.tile(cell.home, (9, 1))
+    q[4, 0] = cell.limits.q_max[0] + beyond
+    T, none, travel = cell.T_part_nozzle(q), np.zeros(9), np.full(9, TRAVEL, dtype=np.int32)
+    still = Trajectory(
+        dt=0.004, t=0.004 * np.arange(9), bead=travel, layer=np.zeros(9, dtype=np.int32), deposit=travel >= 0, s=none, q=q,
+        tip=T[:, :3, 3].copy(), quat=np.zeros((9, 4)), axis=T[:, :3, 2].copy(), branch=none.astype(np.int8), speed=none,
+        flow=none, extruded=none, feed=none,
+    )  # fmt: skip
+    found = as_run(made.model_copy(update={"as_run": learned}), cell, toolpath, still, still)
+    (check,) = (check for check in found.checks if check.name == "asked rail range")
+    assert check.ok != fails
+    assert check.worst == pytest.approx(-beyond * 1e3)

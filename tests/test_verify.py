@@ -48,6 +48,7 @@ from planner.problem import load_problem
 from planner.toolpath.bead import Bead
 from planner.toolpath.wrapped import Cylinder
 from planner.verify.executed import executed_motion
+from planner.verify.verdict import Report
 
 Array = NDArray[np.float64]
 
@@ -298,6 +299,26 @@ def test_turning_about_the_axis_is_free(plan: Plan) -> None:
     assert {check.name for check in found.checks if not check.ok} <= {"tip on the path"}
 
 
+@pytest.mark.parametrize(
+    ("key", "name"), [("nozzle_gravity", "nozzle to gravity"), ("layer_gravity", "layer to gravity")]
+)
+def test_what_leans_from_the_vertical(plan: Plan, key: str, name: str) -> None:
+    """By as much as the nozzle's axis and the part, on a table that turns about the vertical, say."""
+
+    def within(cone: float) -> Report:
+        cones = plan.problem.process.cones.model_copy(update={key: cone})
+        return report(
+            plan, problem=plan.problem.model_copy(update={"process": process.model_copy(update={"cones": cones})})
+        )
+
+    process, t = plan.problem.process, plan.trajectory
+    greatest = np.arccos(-t.axis[t.deposit, 2]).max()
+    assert worst(within(greatest), name) == pytest.approx(np.degrees(greatest), abs=0.05)
+    for beyond, expected in ((-0.02, set()), (0.02, {name})):
+        found = within(np.radians(worst(within(greatest), name) - 0.05 - beyond))
+        assert {check.name for check in found.checks if not check.ok} == expected
+
+
 def test_nozzle_pointing_out_of_the_part(plan: Plan) -> None:
     # The sine alone is the same for a nozzle that points the wrong way.
     class InsideOut(Cylinder):
@@ -485,8 +506,14 @@ def test_wrist_straightened_in_deposition(plan: Plan) -> None:
 
 
 def test_a_singular_posture_in_travel_is_no_matter(plan: Plan) -> None:
-    found = report(plan, paused(plan, 0, np.zeros((3, 7))))
-    assert found.metrics["sigma_min"] == report(plan).metrics["sigma_min"]
+    rest = rest_after(plan.trajectory, 0)
+    dq = np.zeros((3, 7))
+    dq[1, 4] = -plan.trajectory.q[rest, 4]
+    found = report(plan, paused(plan, rest, dq))
+    assert found.metrics["sigma_min"] == pytest.approx(plan.metrics["sigma_min"])
+    assert found.metrics["wrist_margin_deg"] == pytest.approx(plan.metrics["wrist_margin_deg"])
+    of_deposition = {"singularity margin", "branch changes in deposition"}
+    assert not of_deposition & {check.name for check in found.checks if not check.ok}
 
 
 def test_wrist_flips_in_the_middle_of_a_bead(plan: Plan) -> None:
