@@ -108,6 +108,7 @@ def begins(plan: Plan) -> Array:
         ("  speeds: [{speed: 20}]\n", "process.speeds.speed", "unknown key", "speed_mm_s"),
         ("  speeds: 20\n", "process.speeds", "must be a list", "other speeds"),
         ("  speeds: [{speed_mm_s: 20}, {speed_mm_s: 0}]\n", "process.speeds.speed_mm_s", "0", "0.1 to 2000"),
+        ("  speeds: [{speed_mm_s: 201}]\n", "process.travel_speed_mm_s", "travel_speed_mm_s is 200, below a speed_mm_s of 201", "run-ins"),
         ("  layer_time: {}\n", "process.layer_time.least_s", "is missing", "time from a layer's beginning"),
         ("  layer_time: {least_s: 9, slowest_mm_s: 41}\n", "process.layer_time", "slowest_mm_s is 41", "a lower one"),
         ("  pauses: [{before_layer: 1, wait_s: 3}]\n", "process.pauses.before_layer", "1", "2 to 100000"),

@@ -59,7 +59,7 @@ def vector_in(hint: str) -> Array:
 
 @pytest.mark.slow
 def test_a_speed_that_no_joint_can_hold_is_no_reason_to_refuse(toolpath: Toolpath) -> None:
-    assert len(plan(toolpath, "process.speed_mm_s=400")) == 1
+    assert len(plan(toolpath, "process.speed_mm_s=400", "process.travel_speed_mm_s=400")) == 1
 
 
 @pytest.mark.slow(cases=("cell.positioner*",))

@@ -605,6 +605,15 @@ class ProcessSpec(AroundBeadSpec):
         return self
 
     @model_validator(mode="after")
+    def _no_faster_than_travel(self) -> ProcessSpec:
+        fastest = max([self.speed, *(spec.speed for spec in self.speeds)])
+        if fastest > self.travel_speed:
+            reason = f"travel_speed_mm_s is {self.travel_speed * 1e3:g}, below a speed_mm_s of {fastest * 1e3:g}"
+            hint = "as fast as all beads at least: run-ins reach their speed, and are travel"
+            raise refusal(reason, hint, fields=["speed_mm_s", "speeds", "travel_speed_mm_s"])
+        return self
+
+    @model_validator(mode="after")
     def _one_pause_each(self) -> ProcessSpec:
         layers = [pause.before_layer for pause in self.pauses]
         twice = next((layer for layer in layers if layers.count(layer) > 1), None)
