@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from solved import solve_alone, write_small
+from solved import small_plan, solve_alone, write_small
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
@@ -95,6 +95,19 @@ def begins(plan: Plan) -> Array:
     t = plan.trajectory
     laid = np.flatnonzero(t.deposit)
     return np.array([t.t[laid[t.layer[laid] == layer][0]] for layer in range(3)])
+
+
+def test_the_least_time_of_a_layer_is_told_and_of_a_single_layer_none() -> None:
+    for plan in (by_layer(), small_plan()):
+        process = plan.problem.process.model_copy(update={"layer_time": LayerTimeSpec(least_s=2.0)})
+        problem = plan.problem.model_copy(update={"process": process})
+        checks = verify(problem, plan.cell, plan.toolpath, plan.trajectory).checks
+        (check,) = (check for check in checks if check.name == "time of a layer")
+        assert check.ok
+        if plan is by_layer():
+            assert check.worst == pytest.approx(np.diff(begins(plan)).min())
+        else:
+            assert (check.worst, check.where) == (2.0, "everywhere")
 
 
 # --- the problem file --------------------------------------------------------------------------------------

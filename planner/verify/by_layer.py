@@ -31,10 +31,13 @@ def by_layer(judged: Judged) -> Findings:
 def _times(judged: Judged, least: float) -> Check:
     """From where a layer begins to where the next one does passes the time [s] that a layer takes at least."""
     t = judged.trajectory
-    times = np.full(len(t), least)
+    name, limit = "time of a layer", least - SAMPLES * t.dt
     begins = [first for first, _ in _begun(judged)]
+    if len(begins) < 2:
+        return Check(name, least, limit, "s", True, EVERYWHERE, least=True)
+    times = np.full(len(t), np.inf)
     times[begins[1:]] = np.diff(t.t[begins])
-    return check_least(t, "time of a layer", times, least - SAMPLES * t.dt, "s")
+    return check_least(t, name, times, limit, "s")
 
 
 def _begun(judged: Judged) -> Iterator[tuple[int, int]]:
