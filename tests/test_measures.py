@@ -63,7 +63,7 @@ def test_what_a_solved_plan_has_is_described() -> None:
         check.name: CHECKS[check.name].unit for check in plan.checks
     }
     always = {name for name, each in METRICS.items() if not each.only}
-    always |= {"wrist_margin_deg", "bound_any_path_s", "bound_gap_fraction"}
+    always |= {"wrist_margin_deg", "bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction"}
     assert set(plan.metrics) == always
     assert {check.name for check in plan.checks} >= {name for name, each in CHECKS.items() if not each.only}
 

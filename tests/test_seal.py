@@ -22,7 +22,7 @@ from planner.link.guided_motion import PERIOD, read_plan
 from planner.link.streaming import main, modules_in
 from planner.plan import Plan, Trajectory
 from planner.plan.seal import changed_since, digest_of, seal_of, sealed
-from planner.planning.pipeline import as_it_is, solve, write
+from planner.planning.pipeline import BOUNDS, as_it_is, solve, write
 from planner.problem import load_problem
 
 Change = Callable[[Plan], Plan]
@@ -127,6 +127,13 @@ def test_a_changed_plan_is_verified_anew(name: str) -> None:
         assert not judged.verified
         assert fails in {check.name for check in judged.checks if not check.ok}
         assert changed_since(judged) == () and as_it_is(judged) is judged
+
+
+def test_what_planning_found_of_its_own_motion_is_not_told_of_a_changed_one() -> None:
+    plan = small_plan()
+    judged = as_it_is(replace(plan, checks=()))
+    assert plan.roll_maps and not judged.roll_maps and not judged.dips
+    assert {name for name in plan.metrics if name not in judged.metrics} == set(BOUNDS)
 
 
 def test_no_program_of_a_changed_plan_is_written(tmp_path: Path) -> None:

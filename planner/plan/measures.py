@@ -36,8 +36,9 @@ ONLY_MOTOR = "process.extruder.motor is not on_off"
 ONLY_SCANNED = "as_printed is given"
 ONLY_LEARNED = "as_run is given"
 ONLY_STACKED = "something is laid on what the same print laid before"
+ONLY_PLANNED = "the plan was not changed after it was verified"
 ONLY_BOUNDED = (
-    "process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
+    f"{ONLY_PLANNED}, process.cones.nozzle_normal_deg is 0, the print has at most 20,000 waypoints, and roll apart at most three joints "
     "are free (positioner, rail, an arm of seven axes)"
 )
 
@@ -76,6 +77,7 @@ METRICS: dict[str, Measure] = {
         "s",
         "time in which joint speed and acceleration alone would let these joint paths be followed",
         "the quickest speed profile at most at the commanded speed, without jerk limits, found by the planner",
+        ONLY_PLANNED,
     ),
     "bound_any_path_s": Measure(
         "s",

@@ -83,6 +83,7 @@ BASELINE = "as_published"
 RESULTS_BY = "solve"  # whose files they are, in manifests
 REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
 AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
+BOUNDS = ("bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction")  # that planning finds of its own motion
 MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel between them, takes some 10 ms each
 WORTH_A_FORK = 5_000  # waypoints from which work that stands alone (baseline, programs) is worth a copy of the process
 WORTH_HALVES = 40_000  # waypoints from which half of a stage is worth one: most stages use all cores by threads anyway
@@ -711,17 +712,19 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
         report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
         asks = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, plan.asked)
     other = [name for name in changed if name in INPUTS] + ([] if plan.headroom is None else ["tolerance"])
+    metrics = {name: value for name, value in plan.metrics.items() if name not in BOUNDS}
     unlike = [Check(AS_PLANNED, float(len(other)), 0.0, "parts", False, f"changed since: {', '.join(other)}")]
     return sealed(
         replace(
             plan,
             checks=(*report.checks, *asks.checks, *(unlike if other else ())),
-            metrics=plan.metrics | report.metrics | dict(asks.metrics),
+            metrics=metrics | report.metrics | dict(asks.metrics),
             series=report.series,
             approaches=report.approaches,
             view=cell_view(plan.cell),
             dips=(),
             advice=(),
+            roll_maps=(),
         )
     )
 
