@@ -482,17 +482,21 @@ def test_worst_checks_are_those_that_fail_or_are_nearest_to_their_limits() -> No
         return Check(name, worst, limit, "", worst >= limit if least else worst <= limit, "", least)
 
     at = [Displacement(str(k)) for k in range(3)]
+
+    def at_least(b: float, c: float, of_c: float) -> tuple[Check, Check]:
+        return check("b", b, 1.0, least=True), check("c", c, of_c, least=True)
+
     tried = (
-        TriedDisplacement(at[0], (check("a", 0.5, 1.0), check("b", 5.0, 1.0, least=True))),
+        TriedDisplacement(at[0], (check("a", 0.5, 1.0), *at_least(5.0, 3.0, 2.9))),
         TriedDisplacement(
-            at[1], (check("a", 0.9, 1.0), check("b", 2.0, 1.0, least=True)), {"sigma_min": 0.2, "gap_clearance_mm": 3.0}
+            at[1], (check("a", 0.9, 1.0), *at_least(2.0, 1.0, 0.5)), {"sigma_min": 0.2, "gap_clearance_mm": 3.0}
         ),
         TriedDisplacement(
-            at[2], (check("a", 0.7, 1.0), check("b", 0.5, 1.0, least=True)), {"sigma_min": 0.3, "gap_clearance_mm": 2.0}
+            at[2], (check("a", 0.7, 1.0), *at_least(0.5, 1.0, 0.5)), {"sigma_min": 0.3, "gap_clearance_mm": 2.0}
         ),
     )
     room = Robustness(AROUND, (0.0, 0.0, 0.0), (), tried)
-    assert {found.name: where.name for found, where in room.worst_checks} == {"a": "1", "b": "2"}
+    assert {found.name: where.name for found, where in room.worst_checks} == {"a": "1", "b": "2", "c": "0"}
     assert not room.holds
     assert {name: where.name for name, (_, where) in room.worst_metrics.items()} == {
         "sigma_min": "1",

@@ -179,7 +179,7 @@ def _severity(check: Check) -> tuple[bool, float]:
     """Sorts checks of one name, the worst first: what fails, then what is nearest to its limit."""
     if math.isnan(check.worst):
         return check.ok, -math.inf
-    return check.ok, check.worst if check.least else -check.worst
+    return check.ok, check.worst - check.limit if check.least else check.limit - check.worst
 
 
 def _worst(
