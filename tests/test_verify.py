@@ -516,6 +516,14 @@ def test_a_singular_posture_in_travel_is_no_matter(plan: Plan) -> None:
     assert not of_deposition & {check.name for check in found.checks if not check.ok}
 
 
+def test_a_wrist_is_in_line_at_half_a_turn_too(plan: Plan) -> None:
+    q, at = plan.trajectory.q.copy(), straight_stretch(plan, 1)[0]
+    q[at, 4] = np.radians(175.0)
+    found = report(plan, with_joints(plan, plan.trajectory, q))
+    assert found.metrics["wrist_margin_deg"] == pytest.approx(5.0)
+    assert found.series["wrist_deg"].max() <= 90.0
+
+
 def test_wrist_flips_in_the_middle_of_a_bead(plan: Plan) -> None:
     # The other solution of the wrist has the same pose: the geometry is right all along.
     q = plan.trajectory.q.copy()

@@ -116,8 +116,8 @@ METRICS: dict[str, Measure] = {
     "wrist_margin_deg": Measure(
         "deg",
         "least angle of joint 5 from where joints 4 and 6 are in line",
-        "from its angle, while material is laid",
-        "the arm has six joints",
+        "from its angle, while material is laid; half a turn from there they are in line again",
+        "the arm has six joints, and is singular where joints 4 and 6 are in line",
     ),
     "joint_limit_margin_deg": Measure(
         "deg", "least distance of any joint from an end of its range", "over all samples, travel included"

@@ -347,8 +347,8 @@ def _singularity(judged: Judged) -> Findings:
         if away := straight_at(cell):
             fifth = fifth - away
         sides.append(np.sign(np.sin(fifth)))
-        series["wrist_deg"] = np.degrees(np.abs(fifth if cell.spherical else np.arcsin(np.sin(fifth))))
-        metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=180.0))
+        series["wrist_deg"] = np.degrees(np.arcsin(np.abs(np.sin(fifth))))  # in line at half a turn, too
+        metrics["wrist_margin_deg"] = float(series["wrist_deg"][t.deposit].min(initial=90.0))
     sigma = np.where(t.deposit, motion.sigma, np.inf)
     margin = check_least(t, "singularity margin", sigma, judged.problem.resolve.min_sigma, "")
     together = t.deposit[1:] & (t.bead[1:] == t.bead[:-1])
