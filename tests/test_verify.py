@@ -266,6 +266,17 @@ def test_tip_beside_the_path(plan: Plan, micrometres: float, expected: set[str])
     assert found.metrics["position_error_max_mm"] == pytest.approx(1e-3 * micrometres, rel=0.02)
 
 
+def test_a_bead_of_one_sample_is_judged_too(plan: Plan) -> None:
+    """All other samples of its bead are travel; it is beside the path."""
+    at = straight_stretch(plan, 1)
+    own = deposit_of(plan.trajectory, int(plan.trajectory.bead[at[0]]))
+    q = plan.trajectory.q.copy()
+    q[at[0], :6] += np.linalg.solve(jacobian(plan.cell, q[at[0]]), [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0])
+    found = report(plan, silent(with_joints(plan, plan.trajectory, q), np.setdiff1d(own, at)))
+    assert worst(found, "tip on the path") == pytest.approx(1.0, abs=0.02)
+    assert where(found, "tip on the path").startswith(f"t = {plan.trajectory.t[at[0]]:.3f} s, bead")
+
+
 def test_table_turned_too_far(plan: Plan) -> None:
     # A constant angle: nothing moves differently, all is laid down beside its place.
     q = plan.trajectory.q.copy()

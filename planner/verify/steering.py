@@ -59,8 +59,8 @@ def steering(judged: Judged) -> Findings:
         return Findings()
     radius = np.full(len(t), STRAIGHT)
     for i, (at, bead) in enumerate(zip(judged.samples, toolpath.beads, strict=True)):
-        if len(at) < _FEWEST:
-            continue  # the coverage check names this bead
+        if len(at) < 3:
+            continue  # two places tell of no bend
         tip = judged.drawn_tip[at]
         normals = toolpath.surface.normals_on(i, t.s[at], tip)
         curvature = np.abs(geodesic_curvature(tip, normals, SPAN * float(bead.width.max())))

@@ -282,7 +282,7 @@ def _off_the_path(judged: Judged) -> tuple[Array, Array, Array, float]:
     t, tip = judged.trajectory, judged.motion.tip
     position, deviation, normals, unreached = np.zeros(len(t)), np.zeros(len(t)), np.zeros((len(t), 3)), 0.0
     for i, (at, bead) in enumerate(zip(judged.samples, judged.toolpath.beads, strict=True)):
-        if len(at) < 2:
+        if not len(at):
             continue  # the coverage check names this bead
         path = CubicSpline(bead.s, bead.points)
         position[at] = np.linalg.norm(path(t.s[at]) - tip[at], axis=1)
