@@ -120,7 +120,7 @@ METRICS: dict[str, Measure] = {
         "the arm has six joints, and is singular where joints 4 and 6 are in line",
     ),
     "joint_limit_margin_deg": Measure(
-        "deg", "least distance of any joint from an end of its range", "over all samples, travel included"
+        "deg", "least distance of a joint that turns from an end of its range", "over all samples, travel included"
     ),
     "rail_margin_mm": Measure(
         "mm",
@@ -216,7 +216,7 @@ METRICS: dict[str, Measure] = {
     ),
     "arm_clearance_min_mm": Measure(
         "mm",
-        "least distance of the robots' links from part and print",
+        "least distance of the robots' links, and where the part moves of fixtures, from part and print",
         "convex bodies against the same points; at most 50",
     ),
     "robot_clearance_min_mm": Measure(
@@ -235,7 +235,7 @@ METRICS: dict[str, Measure] = {
         "as flow_error_max, a millimetre beginning at each quarter of one",
         ONLY_SWITCHED,
     ),
-    "extruded_volume_mm3": Measure("mm3", "material that is laid", "sum of flow over time"),
+    "extruded_volume_mm3": Measure("mm3", "material that is laid", "as it is recorded at the last sample"),
     "steering_radius_min_mm": Measure(
         "mm",
         "least radius to which a fibre is bent within the surface, at most 10,000",
@@ -255,7 +255,7 @@ METRICS: dict[str, Measure] = {
     "lag_zone_mm": Measure(
         "mm",
         "length not judged by flow_error_max, where pressure rises or falls",
-        "length within the lag of where flow begins or ends",
+        "length within the lag, and two samples more, of where flow begins or ends",
         "process.extruder.lag_s is not 0",
     ),
 }
@@ -263,7 +263,9 @@ METRICS: dict[str, Measure] = {
 COLUMNS: dict[str, Measure] = {
     "t_s": Measure("s", "time since the start", "the samples are evenly spaced"),
     "bead": Measure("", "index of the bead, from 0; -1 in travel", "run-in and run-out count as travel"),
-    "layer": Measure("", "index of its layer, from 0", "of the bead; in travel of the one that comes next"),
+    "layer": Measure(
+        "", "index of its layer, from 0", "of the bead, in its run-out too; in other travel of the one that comes next"
+    ),
     "deposit": Measure("", "1 where material is laid", "0 elsewhere"),
     "s_mm": Measure("mm", "arc length along the bead", "0 in travel"),
     "x_mm": Measure("mm", "nozzle tip in the part frame, x", "forward kinematics of the joints"),
@@ -272,7 +274,11 @@ COLUMNS: dict[str, Measure] = {
     "ax": Measure("", "nozzle axis in the part frame, x: a unit vector from the nozzle into the part", "likewise"),
     "ay": Measure("", "nozzle axis in the part frame, y", "likewise"),
     "az": Measure("", "nozzle axis in the part frame, z", "likewise"),
-    "speed_mm_s": Measure("mm/s", "speed of the tip along the part", "mean over the sample"),
+    "speed_mm_s": Measure(
+        "mm/s",
+        "speed of the tip along the part",
+        "mean over the sample; in travel by the tip's places a sample before and after",
+    ),
     "flow_mm3_s": Measure("mm3/s", "material that is laid", "mean over the sample"),
     "e_mm": Measure(
         "mm", "filament that the motor has pushed since the start", "ahead of what is laid by the extruder's lag"
@@ -317,7 +323,7 @@ CHECKS: dict[str, Measure] = {
         "joints of the first and the last sample; in mm where a rail is farthest off",
     ),
     "joint range": Measure(
-        "deg", "every joint stays within its range", "distance from the nearer end, over all samples"
+        "deg", "every joint that turns stays within its range", "distance from the nearer end, over all samples"
     ),
     "rail range": Measure(
         "mm",
@@ -388,7 +394,8 @@ CHECKS: dict[str, Measure] = {
     "material keeps pace": Measure(
         "of what one sample lays down",
         "at every sample as much material has flowed as the beads hold up to there",
-        "volume of the bead's section along its length",
+        "the record of what has flowed against the volume of the bead's section along its length, and against the sum of flow; "
+        "with process.extruder.motor on_off against that sum alone",
     ),
     "extrusion balance": Measure(
         "of a bead's volume",
@@ -615,7 +622,7 @@ CHECKS: dict[str, Measure] = {
     ),
     "arm clear of part and print": Measure(
         "mm",
-        "the robots' links keep their distance from part and print",
+        "the robots' links, and where the part moves fixtures, keep their distance from part and print",
         "see arm_clearance_min_mm; the limit is collision.arm_mm",
     ),
     "robots clear of each other and of fixtures": Measure(

@@ -33,6 +33,7 @@ def robustness_words(plan: Plan) -> list[str]:
     lines += [f"  to first order {_bound(bound)}" for bound in (room.bounds[0], room.bounds[-1])]
     for name, label, unit, factor, decimals in (
         ("joint_limit_margin_deg", "joint range", "°", 1.0, 1),
+        ("rail_margin_mm", "rail range", " mm", 1.0, 1),
         ("sigma_min", "singularity margin", "", 1.0, 3),
         ("at_speed_fraction", "length at commanded speed (±2 %)", " %", 100.0, 1),
         ("print_time_s", "print time", " s", 1.0, 1),

@@ -38,6 +38,7 @@ SHOWN = (
     "sigma_min",
     "wrist_margin_deg",
     "joint_limit_margin_deg",
+    "rail_margin_mm",
     "velocity_ratio_max",
     "acceleration_ratio_max",
     "jerk_ratio_max",
