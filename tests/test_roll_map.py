@@ -135,6 +135,15 @@ def test_metres_to_a_rails_end_are_no_angle() -> None:
     assert not map_with(-1e-3).free.any()
 
 
+def test_of_seven_axes_all_count_as_in_the_metric() -> None:
+    cell = build_cell(load_problem("peer_cap", ["cell.arm=iiwa", "cell.home_deg=[0, 30, 0, -80, 0, 60, 0]"]))
+    q = np.random.default_rng(0).uniform(cell.limits.q_min, cell.limits.q_max, (20, 7))
+    J = cell.arm.jacobians(q)
+    for found, columns in zip(module._sigmas(cell, q), (range(7), cell.solved), strict=True):
+        expected = np.linalg.svd(J[:, :, list(columns)], compute_uv=False)[:, -1]
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
 def test_the_chosen_roll_is_free_and_has_the_plans_sigma() -> None:
     plan = small_plan()
     found = roll_map(plan.cell, plan.paths, columns=40, rolls=720)

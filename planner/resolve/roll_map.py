@@ -177,8 +177,8 @@ def _judged(
     why = np.where(exists, np.where((room < 0.0).any(axis=2), LIMITS, FREE), REACH).astype(np.uint8)
     sigma, clearance = np.full(why.shape, np.nan), np.full(why.shape, np.nan)
     inside = why == FREE
-    sigma[inside] = _sigmas(cell, arm[inside])
-    why[inside & (sigma < min_sigma)] = SINGULAR
+    sigma[inside], solved = _sigmas(cell, arm[inside])
+    why[inside] = np.where(solved < min_sigma, SINGULAR, FREE)
     if obstacles.any:
         clearance = _clearances(
             places, np.concatenate([arm, _holder(cell, places, arm)], axis=2), why == FREE, obstacles
@@ -187,15 +187,19 @@ def _judged(
     return why, sigma, limit, clearance
 
 
-def _sigmas(cell: Cell, q: Array) -> Array:
-    """Least singular values (n) of the arm's Jacobian at postures q (n, na)."""
-    out = np.empty(len(q))
+def _sigmas(cell: Cell, q: Array) -> tuple[Array, Array]:
+    """Least singular values (n) of the arm's Jacobian at postures q (n, na), as `sigma_min` has them, and those of the six
+    joints that are solved for, by which a search judges arms of seven."""
+    columns = tuple(dict.fromkeys((tuple(range(cell.rails, len(cell.arm))), tuple(cell.solved))))
+    out = np.empty((len(columns), len(q)))
 
     def part(first: int, last: int) -> None:
-        out[first:last] = least_singular_values(cell.arm.jacobians(q[first:last])[:, :, list(cell.solved)])
+        jacobians = cell.arm.jacobians(q[first:last])
+        for own, some in zip(out, columns, strict=True):
+            own[first:last] = least_singular_values(jacobians[:, :, list(some)])
 
     in_threads(part, len(q))
-    return out
+    return out[0], out[-1]
 
 
 def _holder(cell: Cell, places: _Places, arm: Array) -> Array:
@@ -316,7 +320,7 @@ def _tightest(cells: Sequence[Cell], paths: Sequence[JointPath]) -> tuple[int, .
     sigma, limit = [], []
     for cell, path in zip(cells, paths, strict=True):
         arm = path.q[path.task.first : path.task.last + 1, :na]
-        jacobians = cell.arm.jacobians(arm[:: max(len(arm) // _FEW, 1)])[:, :, list(cell.solved)]
+        jacobians = cell.arm.jacobians(arm[:: max(len(arm) // _FEW, 1)])[:, :, cell.rails :]
         sigma.append(least_singular_values(jacobians).min())
         limit.append(np.minimum(arm - cell.limits.q_min[:na], cell.limits.q_max[:na] - arm)[:, turns].min())
     return tuple(dict.fromkeys((int(np.argmin(sigma)), int(np.argmin(limit)))))
