@@ -209,7 +209,8 @@ def test_digests_tell_types_and_shapes_apart() -> None:
 
 def test_a_plan_is_not_lost_for_what_has_no_digest() -> None:
     plan = replace(small_plan(), toolpath=replace(small_plan().toolpath, notes=(object(),)))
-    assert seal_of(plan)["toolpath"] == "" and as_it_is(sealed(plan)).verified
+    assert seal_of(plan)["toolpath"] == "" and changed_since(sealed(plan)) == ("toolpath",)
+    assert not as_it_is(sealed(plan)).verified  # nor is it written as if nobody could have changed it
 
 
 # ---- files that were edited -----------------------------------------------------------------------------------------

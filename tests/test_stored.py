@@ -21,7 +21,7 @@ from test_pauses import STIFF, helix
 from planner import Plan, Toolpath, load, solve, write
 from planner.base.errors import InputError, OutputError
 from planner.base.shipped import ROBOTS
-from planner.plan.seal import changed_since, digest_of
+from planner.plan.seal import changed_since, digest_of, sealed
 from planner.plan.stored import stored_parts
 from planner.planning.pipeline import as_it_is
 from planner.problem import shipped_problems
@@ -252,11 +252,14 @@ def test_plans_that_are_not_as_their_problem_was_come_back_as_they_are(tmp_path:
         assert loaded.nearer == plan.nearer and loaded.toolpath.splits == plan.toolpath.splits
 
 
-@pytest.mark.slow(keep=("peer_cap",))
+@pytest.mark.slow(keep=("peer_cap", "saddle_ring"))
 @pytest.mark.parametrize("name", shipped_problems())
 def test_toolpaths_of_every_source_can_be_saved(name: str, tmp_path: Path) -> None:
     problem = load(name)
-    plan = replace(small_plan(), problem=problem, toolpath=build_toolpath(problem))
+    plan = sealed(replace(small_plan(), problem=problem, toolpath=build_toolpath(problem)))
+    layers = [bead.layer for bead in plan.toolpath.beads]
+    plan.toolpath.surface.before(layers.index(max(layers[:9])) + 1).signed_distance(np.array([[0.0, 0.0, 1e-3]]))
+    assert changed_since(plan) == ()  # by being asked
     parts = stored_parts(plan.save(tmp_path / "plan.npz"), {each.name for each in fields(Plan)} - {"cell"})
     for part in ("toolpath", "problem"):
         assert digest_of(parts[part]) == digest_of(getattr(plan, part))

@@ -382,7 +382,7 @@ def test_beside_the_span_is_outside(toolpath: Toolpath) -> None:
 
 def test_flat_strips_cover_what_they_say() -> None:
     strip = FlatStrip(1e-3, 3e-3, 2e-3, 1.5e-3)
-    solid = LayeredSolid((strip,), (0,), (0,), (0.0, 1e-3), 1, {})
+    solid = LayeredSolid((strip,), (0,), (0,), (0.0, 1e-3), 1)
     points = np.array([[2e-3, 0.5e-3, 3e-3], [2e-3, 0.5e-3, 1.9e-3], [4e-3, 0.5e-3, 1.75e-3]])
     assert solid.signed_distance(points) == pytest.approx([1e-3, -1e-4, 1e-3], abs=1e-6)
     assert solid.normals_on(0, np.zeros(3), points) == pytest.approx(np.tile([0.0, 0.0, 1.0], (3, 1)))

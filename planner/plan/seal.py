@@ -33,7 +33,7 @@ def sealed(plan: Plan) -> Plan:
 def seal_of(plan: Plan) -> dict[str, str]:
     """Digest in hexadecimal of each part of a plan: its inputs, its trajectory, and its verdict.
 
-    Empty for a part with something that has none, which a plan must not be lost for.
+    Empty for a part with something that has none, which a plan must not be lost for; it counts as changed.
     """
     parts = {name: getattr(plan, name) for name in (*INPUTS, "trajectory", "asked")}
     parts["verdict"] = tuple(getattr(plan, name) for name in VERDICT)
@@ -45,17 +45,18 @@ def seal_of(plan: Plan) -> dict[str, str]:
 
 
 def changed_since(plan: Plan) -> tuple[str, ...]:
-    """Names of the parts of a plan that are not what its seal says; all but the inputs of a plan that has none."""
+    """Names of the parts of a plan that are not, or not surely, what its seal says; all but the inputs of a plan that has
+    none."""
     if not plan.seal:
         return ("trajectory", "verdict")
-    return tuple(name for name, digest in seal_of(plan).items() if plan.seal.get(name) != digest)
+    return tuple(name for name, digest in seal_of(plan).items() if not digest or plan.seal.get(name) != digest)
 
 
 def digest_of(value: object) -> str:
     """Digest in hexadecimal of dataclasses, models, containers, arrays and numbers, to the last bit.
 
-    Of kinematic models their placements count, of search trees their points. TypeError for anything else: what is not
-    understood is not passed over.
+    Of kinematic models their placements count, of search trees their points; of dataclasses not what they keep while they
+    are used, which they do not compare by. TypeError for anything else: what is not understood is not passed over.
     """
     digest = hashlib.blake2b(digest_size=_DIGEST)
     _feed(digest, value)
@@ -91,7 +92,7 @@ def _feed(digest: Any, value: Any) -> None:
 def _contents(value: Any) -> object:
     """What an object consists of; the classes of libraries are known by what they have, so that none is imported."""
     if is_dataclass(value):
-        return {field.name: getattr(value, field.name) for field in fields(value)}
+        return {field.name: getattr(value, field.name) for field in fields(value) if field.compare}
     if hasattr(value, "model_fields_set"):  # of pydantic
         return {name: getattr(value, name) for name in type(value).model_fields}
     if hasattr(value, "jointPlacements"):  # a model of Pinocchio

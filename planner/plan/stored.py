@@ -166,8 +166,9 @@ class _Taking:
     def _object(self, value: Any) -> Iterator[Any]:
         if isinstance(value, np.ndarray):
             yield from ("array", self._array(value))
-        elif is_dataclass(value):
-            yield from (_home(type(value)), {each.name: self.of(getattr(value, each.name)) for each in fields(value)})
+        elif is_dataclass(value):  # the fields that it does not compare by are found again when they are asked for
+            kept = [each.name for each in fields(value) if each.compare]
+            yield from (_home(type(value)), {name: self.of(getattr(value, name)) for name in kept})
         elif hasattr(value, "model_fields_set"):  # of pydantic
             given = {name: self.of(getattr(value, name)) for name in type(value).model_fields}
             yield from (_home(type(value)), given, sorted(value.model_fields_set))

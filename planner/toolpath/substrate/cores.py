@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -115,7 +115,7 @@ class CoreSurface:
     levels: tuple[Level, ...]
     layers: tuple[int, ...]
     solid: int
-    grown: LastTrees
+    grown: LastTrees = field(default_factory=LastTrees, compare=False)
 
     def before(self, bead: int) -> CoreSurface:
         """The surface when the first `bead` beads have been printed: the last one's layer lies on it."""
@@ -332,7 +332,7 @@ def _surface(
             lower = lower.refined(middle)
         middle = middle.refined(lower)
     upright = float(np.cos(spec.tilt + _STEEPER))
-    return CoreSurface(body, lower, middle, least, upright, (), (), 0, LastTrees()), meshes
+    return CoreSurface(body, lower, middle, least, upright, (), (), 0), meshes
 
 
 def _rounded(problem: Problem, surface: CoreSurface, path: PlanePath) -> PlaneCurve:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -50,7 +50,7 @@ class SheetSolid:
     laid: tuple[int, ...]
     span: tuple[float, float]
     level: int
-    skins: dict[int, _Skin]
+    skins: dict[int, _Skin] = field(default_factory=dict, compare=False)
 
     def before(self, bead: int) -> SheetSolid:
         """The solid when the first `bead` beads have been printed: without the layer of the last of them."""

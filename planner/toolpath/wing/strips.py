@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -258,7 +258,7 @@ class LayeredSolid:
     laid: tuple[int, ...]
     span: tuple[float, float]
     level: int
-    outlines: dict[int, _Outline]
+    outlines: dict[int, _Outline] = field(default_factory=dict, compare=False)
 
     def before(self, bead: int) -> LayeredSolid:
         """The solid when the first `bead` beads have been printed: without the layer of the last of them."""

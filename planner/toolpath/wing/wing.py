@@ -134,7 +134,7 @@ def _laid(
     if not beads:
         raise too_small(problem)
     start, span = spec.source.origin[1], spec.source.span
-    return Toolpath(tuple(beads), SheetSolid(tuple(sheets), tuple(levels), tuple(laid), (start, start + span), 0, {}))
+    return Toolpath(tuple(beads), SheetSolid(tuple(sheets), tuple(levels), tuple(laid), (start, start + span), 0))
 
 
 def _curved(
@@ -297,7 +297,7 @@ def lay_wing(problem: Problem, spec: AerofoilLayersSpec) -> Toolpath:
             strips.append(piece)
             levels.append(layer)
     beads = of_each(lambda each: replace(each[0](), material=each[1]), makers)
-    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), tuple(laid), span, 0, {}))
+    return Toolpath(tuple(beads), LayeredSolid(tuple(strips), tuple(levels), tuple(laid), span, 0))
 
 
 def _nearest_first(pieces: Sequence[Strip], start: Array | None) -> Sequence[Strip]:
