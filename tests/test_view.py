@@ -388,6 +388,24 @@ def test_a_first_layer_that_cannot_be_laid_alone_is_no_mistake_of_the_file(
     assert (solved, said) == (["whole"], [])
 
 
+def test_a_problem_without_a_count_of_layers_has_a_draft_of_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(child, "FORKS", False)
+    solved: list[tuple[int | None, str]] = []
+
+    def solve(problem: Problem, strategy: str, folder: Path, draft: str, say: child.Say) -> None:
+        solved.append((problem.layers.count, draft))
+
+    monkeypatch.setattr(child, "_solve", solve)
+    said: list[dict[str, Any]] = []
+    job = {"problem": "planar_gcode", "overrides": [], "strategy": "ladder", "drafts": True, "folder": str(tmp_path)}
+    for large in (10, 10**9):
+        monkeypatch.setattr(child, "LARGE", large)
+        assert child.run(job, lambda **message: said.append(message), child.ForkedSolve())
+    assert (solved, said) == ([(1, "one layer of 3"), (None, ""), (None, "")], [])
+
+
 def test_solver_that_cannot_be_started_is_said(fake: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(solver, "CHILD", (str(fake.parent / "no_python"),))
 

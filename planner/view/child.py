@@ -104,7 +104,7 @@ def run(job: Job, say: Say, forked: ForkedSolve) -> bool:
     """
     try:
         problem, folder = load_problem(job["problem"], job["overrides"]), Path(job["folder"])
-        layers = getattr(problem.layers, "count", 1)
+        layers = getattr(problem.layers, "count", 1) or build_toolpath(problem).layers  # None: all that there are
         first = _first_layer(job) if layers > 1 else None
         large = (_waypoints(problem) if first is None else first[1] * layers) >= LARGE
     except PlannerError as error:
