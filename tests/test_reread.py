@@ -35,7 +35,7 @@ from planner.verify.checks import Findings, Judged, asked_speeds
 from planner.verify.reread.facets import facets_of
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
 from planner.verify.reread.plane_curves import _nurbs, read_again
-from planner.verify.reread.points import segments_of
+from planner.verify.reread.points import Segments, segments_of
 from planner.verify.reread.printed import as_the_problem_says
 from planner.verify.reread.scan import sheets_at
 
@@ -418,6 +418,21 @@ def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:
         (tmp_path / "p.yaml").write_text(BASE + f"layers: {{source: {{waypoints: {name}}}}}\n")
         segments = segments_of(load_problem(tmp_path / "p.yaml").layers.source)  # type: ignore[arg-type, union-attr]
         assert np.allclose(segments.start, 1e-3 * rows[:-1]), name  # type: ignore[union-attr]
+
+
+def _moves(tmp_path: Path, text: str) -> Segments:
+    """What is read again of a file of G-code."""
+    (tmp_path / "part.gcode").write_text(text)
+    (tmp_path / "p.yaml").write_text(BASE.replace(", height_mm: 0.5", "") + "layers: {source: {gcode: part.gcode}}\n")
+    segments = segments_of(load_problem(tmp_path / "p.yaml").layers.source)  # type: ignore[arg-type, union-attr]
+    assert isinstance(segments, Segments)
+    return segments
+
+
+@pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
+def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> None:
+    segments = _moves(tmp_path, f"{said}\nG1 X0 Y0 Z0.3\nG1 X10 E1\nG1 X20 E1\nG1 X30 E0.5\nG1 X40\nG1 X50 E-1\n")
+    assert segments.end[:, 0] * 1e3 == pytest.approx([10, 20, 30])
 
 
 @pytest.mark.parametrize(

@@ -126,7 +126,8 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
     if not re.search(r"^\s*M8[23]\b", text, re.MULTILINE):
         return NotRead("the file does not say whether E is relative")
     at, e, unit = np.zeros(3), 0.0, 1.0
-    absolute, absolute_e, name = True, True, ""
+    absolute, name = True, ""
+    said: bool | None = None  # whether E is absolute, as M82 or M83 says; before, it is as the axes are
     starts: list[Array] = []
     ends: list[Array] = []
     names: list[str] = []
@@ -137,9 +138,9 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
         if code in ("G20", "G21"):
             unit = 25.4 if code == "G20" else 1.0
         elif code in ("G90", "G91"):
-            absolute = absolute_e = code == "G90"
+            absolute = code == "G90"
         elif code in ("M82", "M83"):
-            absolute_e = code == "M82"
+            said = code == "M82"
         elif code == "G92":
             at = np.array([words.get(axis, now / unit) * unit for axis, now in zip("XYZ", at, strict=True)])
             e = words.get("E", e)
@@ -147,7 +148,8 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
             given = [axis in words for axis in "XYZ"]
             target = np.array([words.get(axis, 0.0) * unit for axis in "XYZ"])
             there = np.where(given, target if absolute else at + target, at)
-            fed = words.get("E", e if absolute_e else 0.0) - (e if absolute_e else 0.0)
+            from_zero = absolute if said is None else said
+            fed = words.get("E", e if from_zero else 0.0) - (e if from_zero else 0.0)
             e = e + fed
             if (fed > 0.0 and np.abs(there - at)[:2].max() > 0.0) or (fed > 0.0 and code in ("G2", "G3")):
                 way = [at, there] if code in ("G0", "G1") else _arc(at, there, words, unit, code == "G2")
