@@ -435,6 +435,14 @@ def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> Non
     assert segments.end[:, 0] * 1e3 == pytest.approx([10, 20, 30])
 
 
+@pytest.mark.parametrize("what", ["FLUSH", "WIPE_TOWER", "CP TOOLCHANGE"])
+def test_what_cleans_a_tool_need_not_be_printed(tmp_path: Path, what: str) -> None:
+    sign = " " if " " in what else "_"
+    lines = [";TYPE:Outer wall", "G1 X10 E1", f"; {what}{sign}START", "G1 X20 E1", f"; {what}{sign}END", "G1 X30 E1"]
+    segments = _moves(tmp_path, "\n".join(["M83", "G1 X0 Y0 Z0.3", *lines, ";TYPE:Ooze shield", "G1 X40 E1", ""]))
+    assert segments.needed is not None and segments.needed.tolist() == [True, False, True, False]
+
+
 @pytest.mark.parametrize(
     "read",
     [

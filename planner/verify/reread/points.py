@@ -25,9 +25,12 @@ _SEMICOLONS = 5  # in a line, from which on they separate values
 _COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
+_CLEANING = re.compile(
+    r";\s*(CP [A-Z ]+?|FLUSH|WIPE_TOWER)[ _](START|END)\b"
+)  # stretches in which a tool is changed or cleaned
 # Words in names of features, as slicers write them, by what may be left out; start code and purge lines always may.
 _LEFT_OUT = {
-    "purge": ("purge", "prime", "wipe", "custom"),
+    "purge": ("purge", "prime", "wipe", "ooze", "flush", "custom"),
     "skirt": ("skirt", "brim"),
     "brim": ("skirt", "brim"),
     "support": ("support",),
@@ -131,9 +134,12 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
     starts: list[Array] = []
     ends: list[Array] = []
     names: list[str] = []
+    cleaning: set[str] = set()
     for line in text.splitlines():
         if match := _FEATURE.match(line):
             name = match[1].strip().lower()
+        elif match := _CLEANING.match(line):
+            (cleaning.add if match[2] == "START" else cleaning.discard)(match[1])
         code, words = _words(line)
         if code in ("G20", "G21"):
             unit = 25.4 if code == "G20" else 1.0
@@ -155,7 +161,7 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
                 way = [at, there] if code in ("G0", "G1") else _arc(at, there, words, unit, code == "G2")
                 starts += way[:-1]
                 ends += way[1:]
-                names += [name] * (len(way) - 1)
+                names += ["purge" if cleaning else name] * (len(way) - 1)
             at = there
     if not starts:
         return NotRead("no move of the file extrudes")
