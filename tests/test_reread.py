@@ -420,6 +420,9 @@ def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:
         assert np.allclose(segments.start, 1e-3 * rows[:-1]), name  # type: ignore[union-attr]
 
 
+SQUARE = [(10, 0), (10, 10), (0, 10), (0, 0)]
+
+
 def _moves(tmp_path: Path, text: str) -> Segments:
     """What is read again of a file of G-code."""
     (tmp_path / "part.gcode").write_text(text)
@@ -430,6 +433,30 @@ def _moves(tmp_path: Path, text: str) -> Segments:
 
 
 @pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
+def test_a_scarf_is_read_as_level_as_it_is_laid(tmp_path: Path) -> None:
+    flat, _, rest = GCODE.replace("M82", "M82\n;HEIGHT:0.3").replace("Z0.6", "Z0.4").rpartition("G1 X40 Y0 E2 F1800")
+    (tmp_path / "small.gcode").write_text(f"{flat}G1 X20 Y0 Z0.6 E1 F1800\nG1 X40 Y0 E2{rest}\n")
+    (tmp_path / "p.yaml").write_text(BASE.replace(", height_mm: 0.5", "") + PRINTS["gcode"])
+    problem = load_problem(tmp_path / "p.yaml")
+    toolpath = build_toolpath(problem)
+    assert any("laid level" in note for note in toolpath.notes)
+    findings = found(problem, toolpath)
+    assert {DRAWN, LEFT} <= {check.name for check in findings.checks} and not failed(findings)
+
+
+def test_what_goes_on_into_the_next_layer_is_of_two(tmp_path: Path) -> None:
+    ways = "".join(f"G1 X{x} Y{y} Z{z} E1\n" for z in (0.3, 0.5) for x, y in SQUARE)
+    segments = _moves(tmp_path, f"M83\n;HEIGHT:0.2\nG1 X0 Y0 Z0.3\n{ways}")
+    assert segments.end[:, 2] * 1e3 == pytest.approx([0.3] * 4 + [0.5] * 4)
+    assert segments.start[:, 2] * 1e3 == pytest.approx([0.3] * 4 + [0.5] * 4)
+
+
+def test_a_spiral_rises_as_it_does(tmp_path: Path) -> None:
+    turns = "".join(f"G1 X{x} Y{y} Z{0.3 + 0.05 * k:.2f} E1\n" for k, (x, y) in enumerate(3 * SQUARE))
+    segments = _moves(tmp_path, f"M83\n;HEIGHT:0.2\nG1 X0 Y0 Z0.3\n{turns}")
+    assert segments.end[:, 2] * 1e3 == pytest.approx(0.3 + 0.05 * np.arange(12))
+
+
 def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> None:
     segments = _moves(tmp_path, f"{said}\nG1 X0 Y0 Z0.3\nG1 X10 E1\nG1 X20 E1\nG1 X30 E0.5\nG1 X40\nG1 X50 E-1\n")
     assert segments.end[:, 0] * 1e3 == pytest.approx([10, 20, 30])

@@ -21,13 +21,16 @@ from planner.verify.reread.plane_curves import NotRead, gone
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
 _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
 _ARC = 64  # chords of an arc
+_LEVEL = 5e-3  # mm by which heights are rounded
 _SEMICOLONS = 5  # in a line, from which on they separate values
 _COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+_USUAL = re.compile(
+    r"^;\s*(?:Layer height:|layer_height =)\s*(\d*\.?\d+)", re.MULTILINE
+)  # of layers, and of the next one
+_HEIGHT = re.compile(r";\s*(?:HEIGHT:|LAYER_HEIGHT:|tool H|BEGIN_LAYER_\w+ z=\S+ z_thickness=)\s*(\d*\.?\d+)")
 _FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
-_CLEANING = re.compile(
-    r";\s*(CP [A-Z ]+?|FLUSH|WIPE_TOWER)[ _](START|END)\b"
-)  # stretches in which a tool is changed or cleaned
+_CLEANING = re.compile(r";\s*(CP [A-Z ]+?|FLUSH|WIPE_TOWER)[ _](START|END)\b")  # where a tool is changed or cleaned
 # Words in names of features, as slicers write them, by what may be left out; start code and purge lines always may.
 _LEFT_OUT = {
     "purge": ("purge", "prime", "wipe", "ooze", "flush", "custom"),
@@ -134,12 +137,17 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
     starts: list[Array] = []
     ends: list[Array] = []
     names: list[str] = []
+    runs: list[tuple[int, float]] = []  # the uninterrupted run that each move is of, and the height of its layer
+    usual = float(match[1]) if (match := _USUAL.search(text)) else 0.0
+    run, foot, height = 0, 0.0, usual
     cleaning: set[str] = set()
     for line in text.splitlines():
         if match := _FEATURE.match(line):
             name = match[1].strip().lower()
         elif match := _CLEANING.match(line):
             (cleaning.add if match[2] == "START" else cleaning.discard)(match[1])
+        elif match := _HEIGHT.match(line):
+            height = float(match[1]) or usual
         code, words = _words(line)
         if code in ("G20", "G21"):
             unit = 25.4 if code == "G20" else 1.0
@@ -162,10 +170,31 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
                 starts += way[:-1]
                 ends += way[1:]
                 names += ["purge" if cleaning else name] * (len(way) - 1)
+                begun = bool(runs) and runs[-1][0] == run
+                if begun and there[2] > at[2] == foot:  # what was level is of the layer below
+                    run, begun = run + 1, False
+                foot = foot if begun else at[2]
+                runs += [(run, height)] * (len(way) - 1)
+            elif fed or (there != at).any():
+                run += 1
             at = there
     if not starts:
         return NotRead("no move of the file extrudes")
-    return np.array(starts) * 1e-3, np.array(ends) * 1e-3, tuple(names)
+    start, end = _levelled(np.array(starts), np.array(ends), *np.array(runs).T)
+    return start * 1e-3, end * 1e-3, tuple(names)
+
+
+def _levelled(start: Array, end: Array, run: Array, height: Array) -> tuple[Array, Array]:
+    """Moves (n, 3) [mm], those of runs that rise by no more than their layer's height as high as these end: scarfs, which lie
+    beside lines of that height and are laid level."""
+    first = np.flatnonzero(np.diff(run, prepend=-1.0))
+    last = np.append(first[1:], len(run)) - 1
+    rise = end[last, 2] - start[first, 2]
+    level = np.repeat((rise > 0.0) & (rise <= height[last] + _LEVEL), last - first + 1)
+    top = np.repeat(end[last, 2], last - first + 1)
+    for points in (start, end):
+        points[level, 2] = top[level]
+    return start, end
 
 
 def _words(line: str) -> tuple[str, dict[str, float]]:
