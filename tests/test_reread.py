@@ -432,7 +432,6 @@ def _moves(tmp_path: Path, text: str) -> Segments:
     return segments
 
 
-@pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
 def test_a_scarf_is_read_as_level_as_it_is_laid(tmp_path: Path) -> None:
     flat, _, rest = GCODE.replace("M82", "M82\n;HEIGHT:0.3").replace("Z0.6", "Z0.4").rpartition("G1 X40 Y0 E2 F1800")
     (tmp_path / "small.gcode").write_text(f"{flat}G1 X20 Y0 Z0.6 E1 F1800\nG1 X40 Y0 E2{rest}\n")
@@ -457,6 +456,7 @@ def test_a_spiral_rises_as_it_does(tmp_path: Path) -> None:
     assert segments.end[:, 2] * 1e3 == pytest.approx(0.3 + 0.05 * np.arange(12))
 
 
+@pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
 def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> None:
     segments = _moves(tmp_path, f"{said}\nG1 X0 Y0 Z0.3\nG1 X10 E1\nG1 X20 E1\nG1 X30 E0.5\nG1 X40\nG1 X50 E-1\n")
     assert segments.end[:, 0] * 1e3 == pytest.approx([10, 20, 30])

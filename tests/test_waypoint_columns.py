@@ -127,9 +127,18 @@ def test_names_may_state_their_unit(spec: Callable[..., WaypointsSpec]) -> None:
     ):
         separator = "," if "," in head else " "
         rows = "\n".join(separator.join(map(str, row)) for row in ([0, 1, 2, 0, 0, 1, 0.5], [1, 1, 2, 0, 0, 1, 0.6]))
-        (bead,) = read_waypoints(spec("a.csv", f"{head}\n{rows}\n")).beads
+        given = spec("a.csv", f"{head}\n{rows}\n")
+        (bead,) = read_waypoints(given).beads
         assert bead.points[1] * 1e3 == pytest.approx([1, 1, 2])
         assert bead.width == pytest.approx([0.5e-3, 0.6e-3])
+        assert starts_again(given) == pytest.approx(np.array([[0, 1, 2]]))
+
+
+def starts_again(given: WaypointsSpec) -> Array:
+    """Where the steps begin that the verifier reads of a file again [mm]."""
+    again = segments_of(given)
+    assert not isinstance(again, NotRead)
+    return again.start * 1e3
 
 
 ROWS = ([0, 1, 2, 0, 0, 1], [1.5, 1, 2, 0, 0, 1], [3, 1, 2, 0, 0, 1])
@@ -159,9 +168,7 @@ def test_spreadsheets_and_titles(
     found = read_waypoints(given)
     assert found.beads[0].points * 1e3 == pytest.approx(np.array(ROWS)[:, :3])
     assert found.beads[0].normals == pytest.approx(np.array(ROWS)[:, 3:]) and not found.notes
-    again = segments_of(given)
-    assert not isinstance(again, NotRead)
-    assert again.start * 1e3 == pytest.approx(np.array(ROWS)[:-1, :3])
+    assert starts_again(given) == pytest.approx(np.array(ROWS)[:-1, :3])
 
 
 # a pose that turns about y, with its x, y and z axes
@@ -243,9 +250,29 @@ def test_names_as_tables_are_exported(spec: Callable[..., WaypointsSpec], head: 
     """The order of columns is that of the names, not that of lines without."""
     words = [*head.split(",")[3:], *head.split(",")[:3]]
     rows = "\n".join(",".join(map(str, [*row[3:], *row[:3]])) for row in ROWS)
-    found = read_waypoints(spec("a.csv", f"{','.join(words)}\n{rows}\n", smooth_normals_deg=0))
+    given = spec("a.csv", f"{','.join(words)}\n{rows}\n", smooth_normals_deg=0)
+    found = read_waypoints(given)
     assert found.beads[0].points * 1e3 == pytest.approx(np.array(ROWS)[:, :3])
     assert found.beads[0].normals == pytest.approx(np.array(ROWS)[:, 3:]) and not found.notes
+    assert starts_again(given) == pytest.approx(np.array(ROWS)[:-1, :3])
+
+
+@pytest.mark.parametrize("name", ["{}", "{}_mm", "pos_{}", "Points:{}"])
+def test_arrays_by_other_names_are_read_again(spec: Callable[..., WaypointsSpec], name: str) -> None:
+    axes = "012" if ":" in name else "xyz"
+    normals, points = ("nx", "ny", "nz"), [name.format(axis) for axis in axes]
+    data = packed(**dict(zip((*normals, *points), np.roll(np.array(ROWS, dtype=float), 3, axis=1).T, strict=True)))
+    assert read_waypoints(spec("a.npz", data)).beads[0].points * 1e3 == pytest.approx(np.array(ROWS)[:, :3])
+    assert starts_again(spec("a.npz", data)) == pytest.approx(np.array(ROWS)[:-1, :3])
+
+
+def test_a_file_that_holds_no_points_any_more_is_not_read_again(spec: Callable[..., WaypointsSpec]) -> None:
+    for name, data in (
+        ("a.npz", packed(a=[1.0, 2.0])),
+        ("a.npz", b"PK\x05\x06" + 18 * b"\0"),
+        ("a.txt", b"no table\n"),
+    ):
+        assert isinstance(segments_of(spec(name, data)), NotRead)
 
 
 def test_angles_without_names_are_told(spec: Callable[..., WaypointsSpec]) -> None:

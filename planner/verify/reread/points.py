@@ -7,6 +7,7 @@ an extruder and their modes. Lengths are metres, in the part frame.
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -23,11 +24,11 @@ _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypo
 _ARC = 64  # chords of an arc
 _LEVEL = 5e-3  # mm by which heights are rounded
 _SEMICOLONS = 5  # in a line, from which on they separate values
-_COLUMN = re.compile(r"([xyz])(?:[ _]?[(\[]?m{1,2}[)\]]?)?", re.IGNORECASE)
+_UNIT = r"(?:[ _]*[(\[]?\s*m{1,2}\s*[)\]]?)?"
+_COLUMN = re.compile(rf"([xyz]){_UNIT}", re.IGNORECASE)
+_EXPORTED = re.compile(rf"(?:p|pos|position|points?|tcp)[ _:.-]?([xyz012]){_UNIT}", re.IGNORECASE)  # pos_x, Points:0
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
-_USUAL = re.compile(
-    r"^;\s*(?:Layer height:|layer_height =)\s*(\d*\.?\d+)", re.MULTILINE
-)  # of layers, and of the next one
+_USUAL = re.compile(r"^;\s*(?:Layer height:|layer_height =)\s*(\d*\.?\d+)", re.MULTILINE)
 _HEIGHT = re.compile(r";\s*(?:HEIGHT:|LAYER_HEIGHT:|tool H|BEGIN_LAYER_\w+ z=\S+ z_thickness=)\s*(\d*\.?\d+)")
 _FEATURE = re.compile(r";\s*(?:TYPE|FEATURE)\s*:\s*(.+)", re.IGNORECASE)
 _CLEANING = re.compile(r";\s*(CP [A-Z ]+?|FLUSH|WIPE_TOWER)[ _](START|END)\b")  # where a tool is changed or cleaned
@@ -60,6 +61,8 @@ def segments_of(source: WaypointsSpec | GcodeSpec) -> Segments | NotRead:
         return _moves(source) if isinstance(source, GcodeSpec) else _waypoints(source)
     except OSError as error:
         return gone(error)
+    except (ValueError, zipfile.BadZipFile) as error:
+        return NotRead(f"the file holds no points: {error}")
 
 
 def _moves(source: GcodeSpec) -> Segments | NotRead:
@@ -100,29 +103,46 @@ def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
 @lru_cache(maxsize=2)
 def _table(path: Path, changed: int, size: int) -> Array | NotRead:
     """The points (n, 3) of a file of waypoints, in its own unit and axes; `changed` and `size` tell one file from another."""
-    if path.suffix.lower() == ".npz":
+    if zipfile.is_zipfile(path):
         with np.load(path, allow_pickle=False) as arrays:
-            return np.column_stack([np.asarray(arrays[name], dtype=float).ravel() for name in "xyz"])
+            places = _places(arrays.files)
+            if places is None:
+                return NotRead("no arrays are called x, y and z")
+            return np.column_stack([np.asarray(arrays[arrays.files[i]], dtype=float) for i in places])
     rows: list[list[float]] = []
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     vertices = [line.split()[1:4] for line in lines if line.startswith(("v ", "v\t"))]
     if vertices:
         return np.array(vertices, dtype=float)
-    columns = [0, 1, 2]
-    for line in lines:
-        if line.count(";") >= _SEMICOLONS:  # which stand where the comma is decimal
-            line = line.replace(",", ".")
-        words = [word for word in re.split(r"[,;\s]+", line.strip(" \t#/%;")) if word]
-        heads = [word.strip(" \t#/%;\"'") for word in line.split(",")] if "," in line else words
-        found = {match[1].lower(): i for i, word in enumerate(heads) if (match := _COLUMN.fullmatch(word))}
-        if len(found) == 3 and not rows:
-            columns = [found[name] for name in "xyz"]
-        elif line.strip() and line.strip()[0] not in "#/%;" and len(words) > max(columns):
+    columns, commas = [0, 1, 2], False
+    for line in filter(str.strip, lines):
+        remark = line.lstrip()[0] in "#/%;"
+        if not remark and line.count(";") >= _SEMICOLONS:  # which stand where the comma is decimal
+            line = line.replace(",", ".").replace(";", ",")
+        head = re.sub(r"\s+(?=[(\[])", "", line.strip(" \t#/%;"))  # units in brackets belong to the word before
+        named = None if rows else _places(head.split(",") if "," in head else head.split())
+        if named is not None:
+            columns, commas = named, "," in head
+        elif not remark:
+            cells = line.split(",") if commas and "," in line else line.replace(",", " ").split()
             try:
-                rows.append([float(words[i]) for i in columns])
-            except ValueError:
+                rows.append([float(cells[i]) for i in columns])
+            except (ValueError, IndexError):
                 continue  # a title
     return np.array(rows) if len(rows) > 1 else NotRead("no table of numbers is found in the file")
+
+
+def _places(names: Sequence[str]) -> list[int] | None:
+    """Where x, y and z are among names of columns; those that are called so go before longer names of the same."""
+    for pattern in (_COLUMN, _EXPORTED):
+        found = {}
+        for i, name in enumerate(names):
+            if match := pattern.fullmatch(name.strip(" \t\"'")):
+                axis = match[1].lower()
+                found["xyz"[int(axis)] if axis.isdecimal() else axis] = i
+        if len(found) == 3:
+            return [found[axis] for axis in "xyz"]
+    return None
 
 
 @lru_cache(maxsize=1)
