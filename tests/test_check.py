@@ -158,6 +158,45 @@ def test_files_of_slow_sources_are_read(tmp_path: Path, name: str, field: str, t
     assert examine(load_problem(name)).mistakes == ()
 
 
+MAP = "x_mm,y_mm,z_mm,nx,ny,nz,deviation_mm\n" + "".join(f"{x},0,1,0,0,1,0.05\n" for x in range(9))
+SHIFTS = "bead,s_mm,dx_mm,dy_mm,dz_mm\n0,0,0,0,0.01\n"
+CURVES = '{"curves": [{"degree": 1, "points_mm": [[-10, 0], [10, 0]]}]}'
+
+
+@pytest.mark.parametrize("name", ["hemisphere_honeycomb", "saddle_ring"])
+@pytest.mark.parametrize(
+    ("section", "text", "bad"),
+    [
+        ("as_printed={{map: {}, after_layer: 1, most_mm: 0.05, smoothing_mm: 5}}", MAP, "is no height map"),
+        ("as_run={{corrections: {}, most_mm: 1}}", SHIFTS, "holds no corrections"),
+    ],
+    ids=["map", "corrections"],
+)
+def test_files_that_scans_and_runs_left_are_read(tmp_path: Path, name: str, section: str, text: str, bad: str) -> None:
+    """Of problems that are laid at once, of which one layer is, and of others."""
+    file = tmp_path / "left.csv"
+    problem = load_problem(name, [section.format(file)])
+    file.write_text(text, encoding="utf-8")
+    assert examine(problem).mistakes == ()
+    file.write_text("a,b\n1,2\n", encoding="utf-8")
+    assert [bad in str(mistake) for mistake in examine(problem).mistakes] == [True]
+
+
+def test_curves_on_a_slow_body_are_read(tmp_path: Path) -> None:
+    file = tmp_path / "curves.json"
+    layers = f"layers={{source: {{nurbs: {file}}}, project: z, count: 1, height_mm: 0.5}}"
+    problem = load_problem("aerofoil_core", [layers])
+    file.write_text(CURVES, encoding="utf-8")
+    assert examine(problem).mistakes == ()
+    file.write_text("{}", encoding="utf-8")
+    assert ["curves" in str(mistake) for mistake in examine(problem).mistakes] == [True]
+
+
+def test_an_order_that_a_source_has_already_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["planar_gcode", "--set", "process.order=['path*']"]) == 2
+    assert "the order of beads stands in this source already" in capsys.readouterr().err
+
+
 def test_most_that_ships_is_laid_at_once() -> None:
     quick = [name for name in shipped_problems() if is_quick(load_problem(name))]
     assert len(quick) > 6

@@ -18,7 +18,7 @@ from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, Complaint, InputError
 from planner.planning.options import add_problem, add_set
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import ProjectedLayersSpec, WrappedLayersSpec
-from planner.problem.layers import FaceLayersSpec, GcodeLayersSpec, WaypointLayersSpec
+from planner.problem.layers import GcodeLayersSpec, WaypointLayersSpec
 from planner.problem.rewrite import paths_in
 
 if TYPE_CHECKING:
@@ -76,10 +76,12 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
             _tried(mistakes, lambda: _check_corrections(problem, toolpath))
         if cell is not None and toolpath is not None:
             _tried(mistakes, lambda: _check_cones(problem, cell, toolpath))
-    elif not is_quick(problem):
-        for keys, path in paths_in(problem):
-            if keys[0] != "cell":  # whose files the cell has read
-                _tried(mistakes, partial(_read, problem, ".".join(map(str, keys)), path))
+    read = {"cell"}  # sections whose files have been read by now
+    if quick or whole or is_quick(problem):
+        read |= {"layers", "part"} | (set() if first else {"as_printed", "as_run"})
+    for keys, path in paths_in(problem):
+        if keys[0] not in read:
+            _tried(mistakes, partial(_read, problem, ".".join(map(str, keys)), path))
     return Examination(cell, toolpath, first and toolpath is not None, tuple(mistakes), work)
 
 
@@ -108,7 +110,7 @@ def one_layer(problem: Problem) -> Problem:
     """The problem with its first layer alone, and nothing that is of others."""
     process = problem.process.model_copy(update={"speeds": (), "layer_time": None, "pauses": (), "order": ()})
     layers = problem.layers.model_copy(update={"count": 1})
-    return problem.model_copy(update={"layers": layers, "process": process, "as_run": None})
+    return problem.model_copy(update={"layers": layers, "process": process, "as_printed": None, "as_run": None})
 
 
 def _tried(mistakes: list[InputError], make: Callable[[], Any]) -> Any:
@@ -179,16 +181,27 @@ def _check_cones(problem: Problem, cell: Cell, toolpath: Toolpath) -> None:
 
 
 def _read(problem: Problem, field: str, path: Path) -> None:
-    """Read one file that `layers` or `part` names. Raises InputError where it cannot be read."""
+    """Read one file that a problem names, but for its cell. Raises InputError where it cannot be read."""
     where: Complaint = partial(problem.error, field)
-    in_step = field.startswith("part.step") or isinstance(problem.layers, FaceLayersSpec)
     if field.endswith((".waypoints", ".gcode")):
         return  # too large to be read here
-    if field.endswith("aerofoil"):
+    if field == "as_printed.map" and problem.as_printed is not None:
+        from planner.toolpath.as_printed import read_map
+
+        read_map(path, problem.as_printed.smoothing, where)
+    elif field == "as_run.corrections":
+        from planner.motion.as_run import COLUMNS, read_columns
+
+        read_columns(path, COLUMNS, where)
+    elif field.endswith(".nurbs"):
+        from planner.problem.curve_files import read_curves
+
+        read_curves(path, where)
+    elif field.endswith("aerofoil"):
         from planner.toolpath.wing.section import read_section
 
         read_section(path, where)
-    elif in_step:
+    elif field.startswith("part.step"):
         from planner.problem.cad_files import check_step
 
         check_step(path, where)
