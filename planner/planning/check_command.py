@@ -61,6 +61,7 @@ def examine(problem: Problem, whole: bool = False) -> Examination:
     elif problem.cell.positioner is not None:  # what is wrong with the arm is told first
         robot = problem.cell.positioner.robot
         _tried(mistakes, lambda: _robot(problem, "cell.positioner.robot", robot))
+    _tried(mistakes, lambda: _check_arrangement(problem))
     quick = is_quick(problem)
     count = getattr(problem.layers, "count", 1)  # None: all that a file has
     first = quick and not whole and (count is None or count > 1)
@@ -141,6 +142,12 @@ def _check_cell(problem: Problem, cell: Cell) -> None:
 
     check_languages(problem, cell)
     check_start(problem, cell)
+
+
+def _check_arrangement(problem: Problem) -> None:
+    from planner.toolpath.build import check_arrangement
+
+    check_arrangement(problem)
 
 
 def _toolpath(problem: Problem) -> Toolpath:

@@ -62,7 +62,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     Raises InputError for a file that cannot be read, for a drawing that does not fit on the part, for layers and beads that
     the process names and that there are not, and for what is too much to plan.
     """
-    _check_arrangement(problem)
+    check_arrangement(problem)
     module, name = SOURCES[type(problem.layers)]
     source: Callable[[Problem, Any], Toolpath] = getattr(import_module(f"planner.toolpath.{module}"), name)
     toolpath = source(problem, problem.layers)
@@ -87,7 +87,7 @@ def build_toolpath(problem: Problem) -> Toolpath:
     return replace(toolpath, beads=beads)
 
 
-def _check_arrangement(problem: Problem) -> None:
+def check_arrangement(problem: Problem) -> None:
     """Raise the InputError of a seam or an order of beads that their source has already."""
     for key, given, sources in (("seam", problem.process.seam, SEAMS), ("order", problem.process.order, ORDERS)):
         if given and not isinstance(problem.layers, sources):
