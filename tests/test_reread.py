@@ -394,15 +394,19 @@ def far_from(lines: list[Array], others: list[Array]) -> float:
     return float(shapely.distance(shapely.points(places), tree).max())
 
 
-def test_files_that_cannot_be_read_again_say_so(tmp_path: Path) -> None:
-    clipped = SVG.replace("<g ", '<clipPath id="c"><rect width="40" height="30"/></clipPath><g clip-path="url(#c)" ')
-    (tmp_path / "small.svg").write_text(clipped)
+CLIPPED = '<clipPath id="c"><rect width="40" height="30"/></clipPath><g clip-path="url(#c)" '
+SYMBOL = '<symbol id="s" viewBox="0 0 4 8"><path d="M0 0L4 8"/></symbol><use href="#s" x="2" y="22" width="4" height="4"/><g '
+
+
+@pytest.mark.parametrize(("with_it", "why"), [(CLIPPED, "clip paths or masks"), (SYMBOL, "symbols")])
+def test_files_that_cannot_be_read_again_say_so(tmp_path: Path, with_it: str, why: str) -> None:
+    (tmp_path / "small.svg").write_text(SVG.replace("<g ", with_it))
     path = tmp_path / "clipped.yaml"
     path.write_text(BASE + PRINTS["ball"])
     problem = load_problem(path)
     findings = found(problem, build_toolpath(problem))
     assert not failed(findings)
-    assert "clip paths or masks" in next(check.where for check in findings.checks if check.name == DRAWN)
+    assert why in next(check.where for check in findings.checks if check.name == DRAWN)
 
 
 def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:

@@ -24,7 +24,8 @@ from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec
 _STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
 _FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
 _SPANS, _PIECE = 200, 8  # chords between the knots of a NURBS curve, and at least of a drawing's spline
-_HIDDEN = ("<clippath", "<mask", ":clippath", ":mask")  # what svgelements does not cut by
+# What svgelements does not cut by, and what it draws where it stands instead of where it is used.
+_HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
 _LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
@@ -68,8 +69,9 @@ def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec)
 def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
     """The visible outlines of a drawing by svgelements, `width` [m] wide; `changed` and `size` tell one file from another."""
     text = path.read_bytes().lower()
-    if any(name.encode() in text for name in _HIDDEN):
-        return NotRead("the drawing has clip paths or masks")
+    for what, names in _HIDDEN.items():
+        if any(name.encode() in text for name in names):
+            return NotRead(f"the drawing has {what}")
     from svgelements import SVG, Shape
     from svgelements import Path as Outline
 
