@@ -22,6 +22,7 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
 from planner.toolpath.dxf.reader import INSUNITS, DxfRead, read_drawing, read_dxf
 from planner.toolpath.svg.outlines import PlanePath
+from planner.verify.reread.plane_curves import read_again
 
 FLAT = 1e-6  # m
 MM = 4  # $INSUNITS
@@ -56,6 +57,17 @@ def size(path: PlanePath) -> float:
 
 def sizes(found: DxfRead) -> list[float]:
     return [size(path) for path in found.paths]
+
+
+def test_hidden_entities_are_read_neither_once_nor_again(tmp_path: Path) -> None:
+    def draw(m: Any) -> None:
+        m.add_line((0, 0), (9, 9))
+        m.add_line((0, 5), (40, 5), dxfattribs={"invisible": 1})
+
+    path = saved(tmp_path, draw)
+    assert sizes(read(path)) == pytest.approx([math.hypot(9, 9)])
+    (again,) = read_again(DxfSpec.model_construct(dxf=path, unit=None, width=None, layers=None))
+    assert again * 1e3 == pytest.approx(np.array([[-4.5, -4.5], [4.5, 4.5]]))
 
 
 @settings(max_examples=6, deadline=None)

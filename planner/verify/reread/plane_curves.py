@@ -148,7 +148,7 @@ def _entities(container: Iterable[Any], inherited: str | None = None) -> Iterato
         if entity.dxftype() == "INSERT":
             for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
                 yield from _entities(one.virtual_entities(), layer)
-        elif entity.dxftype() in _LINES:
+        elif entity.dxftype() in _LINES and not entity.dxf.get("invisible", 0):
             yield entity, layer
 
 
