@@ -15,7 +15,7 @@ from planner.base.distribution import crew
 from planner.base.errors import InputError
 from planner.cell.cell import build_cell
 from planner.planning import distributed as chains
-from planner.planning.context import context_elsewhere, digest_of
+from planner.planning.context import context_elsewhere, digest_of, found_anywhere
 from planner.planning.distributed import pieces_of
 from planner.planning.pipeline import load, solve
 from planner.resolve.joint_path import JointPath
@@ -73,3 +73,13 @@ def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path, change: tu
     with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
         context_elsewhere(str(file), (), digest)
     assert digest != digest_of(problem, cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
+
+
+def test_a_linked_problem_is_named_by_its_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Paths in it count from there."""
+    link = tmp_path / "here" / "linked.yaml"
+    link.parent.mkdir()
+    link.symlink_to(write_small(tmp_path / "there"))
+    monkeypatch.chdir(link.parent)
+    assert found_anywhere(load("linked.yaml")) == str(link)
+    assert found_anywhere(load("peer_cap")) == "peer_cap"

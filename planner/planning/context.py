@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 from planner.base.errors import InputError
 from planner.base.progress import Stages
@@ -89,8 +91,9 @@ def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> Pla
 
 
 def found_anywhere(problem: Problem) -> str:
-    """How another process names a problem: as it ships, or by its file's path from the root."""
-    file = problem.file.resolve()
+    """How another process names a problem: as it ships, or by its file's path from the root, links as they are: what it names
+    is found from the folder of the link."""
+    file = Path(os.path.abspath(problem.file))
     return file.stem if file.parent == PROBLEMS else str(file)
 
 
