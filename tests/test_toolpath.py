@@ -110,6 +110,12 @@ def test_arc_length_of_an_ellipse() -> None:
     np.testing.assert_allclose(arc_length(points), b * ellipeinc(t, 1.0 - (a / b) ** 2), rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 6])
+def test_arc_length_of_a_piece_of_few_samples(count: int) -> None:
+    points = np.linspace([0.0, 0.0, 0.0], [3e-3, 4e-3, 0.0], count)
+    np.testing.assert_allclose(arc_length(points), np.linspace(0.0, 5e-3, count), rtol=0, atol=1e-15)
+
+
 def test_source_is_the_input_polyline_wrapped() -> None:
     corners = np.array([[-0.02, 0.0], [0.01, 0.0], [0.01, 0.015]])
     curve = round_corners(PlanePath("corner", corners, False), 0.2 * MM)

@@ -416,7 +416,7 @@ def make_bead(
 def arc_length(points: Array) -> Array:
     """Arc length (n,) along the smooth curve through points (n, 3) that are uniform in its parameter."""
     u = np.arange(len(points), dtype=float)
-    spline = make_interp_spline(u, points, k=5)
+    spline = make_interp_spline(u, points, k=min(5, len(points) - 1))
     # Gauss-Legendre, three points an interval: exact to 1e-12 m where the spline is resolved at all
     nodes, weights = np.polynomial.legendre.leggauss(3)
     mid = u[:-1, None] + 0.5 * (nodes[None, :] + 1.0)
