@@ -298,6 +298,12 @@ def test_support_and_wing_share_a_level(planar: Toolpath) -> None:
         assert gap.min() > 0.4 * HEIGHT, bead.name
 
 
+def test_beads_are_as_high_as_the_process_says() -> None:
+    given = ("layers.support=null", "layers.count=1", "layers.source.span_mm=4", "process.bead.height_mm=0.4")
+    toolpath = build_toolpath(load_problem("naca0015_wing", ("layers.source.method=planar", JOINED, *given)))
+    assert {float(height) for bead in toolpath.beads for height in bead.height} == {0.4e-3}
+
+
 @pytest.mark.slow
 def test_a_support_is_of_its_own_material(planar: Toolpath) -> None:
     """naca0015_wing names them: yellow and black, as in the paper."""

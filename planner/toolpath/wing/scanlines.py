@@ -204,7 +204,7 @@ def _bead(
     plane = _dense(way, step)
     apart, ends = APART * width * filling.spacing, filling.run_in / PER_RUN
     lift, tolerance = partial(on_sheet, sheet), filling.tolerance / stretch.any
-    return rolled_bead(name, layer, plane, lift, tolerance, apart, ends, width, sheet.height)
+    return rolled_bead(name, layer, plane, lift, tolerance, apart, ends, width, filling.height)
 
 
 def _dense(way: Array, step: float) -> Array:
