@@ -14,12 +14,14 @@ from test_reread import found
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.problem import Problem, load_problem
+from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.scanlines import linked
 from planner.toolpath.wing.section import naca_section, section_through
 from planner.toolpath.wing.sheet_solid import SheetSolid
 from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, LoftedSide, SpanIntervals
+from planner.toolpath.wing.support import check_support
 from planner.verify.reread.places import FILLED
 
 Array = NDArray[np.float64]
@@ -386,6 +388,18 @@ def test_mistakes_are_told(old: str, new: str, field: str, reason: str, hint: st
     assert caught.value.line is not None
     assert reason in caught.value.reason
     assert hint in (caught.value.hint or "")
+
+
+def test_a_level_wing_needs_no_room_for_curved_layers() -> None:
+    for method in ("curved", "planar"):
+        given = load_problem("naca0015_wing", (f"layers.source.method={method}", "layers.support.curved=9"))
+        spec = given.layers
+        assert isinstance(spec, AerofoilLayersSpec) and spec.support is not None
+        if method == "planar":
+            check_support(given, spec, spec.support, 1e-3)
+        else:
+            with pytest.raises(InputError, match="less than its curved layers are high"):
+                check_support(given, spec, spec.support, 1e-3)
 
 
 UNPRINTABLE = [

@@ -20,7 +20,8 @@ def check_support(problem: Problem, spec: AerofoilLayersSpec, support: SupportSp
 
     It must reach from the bed to all of the wing, and not beyond.
     """
-    field, least = "layers.support", 1e3 * support.curved * spec.height
+    curved = 0 if spec.source.method == "planar" else support.curved  # level wings have none
+    field, least = "layers.support", 1e3 * curved * spec.height
     if floor * 1e3 < least - _ROUNDING:
         raise problem.error(
             f"{field}.curved",
