@@ -19,6 +19,7 @@ from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.skirt import with_skirt
 from tests.test_reread import BASE, failed, found
 
 AROUND = "lines around the first layer"
@@ -90,6 +91,17 @@ def test_lines_that_meet_are_one() -> None:
     toolpath = print_with("process.skirt={loops: 1, gap_mm: 8}")[1]
     (line,) = lines_of(toolpath)
     assert shapely.Polygon(1e3 * line.points[:, :2]).contains(covered(toolpath))
+
+
+def test_lines_are_as_wide_as_the_first_bead_usually_is() -> None:
+    """It may begin with a scarf, whose flow grows from next to nothing."""
+    problem = print_with("process.skirt={loops: 2}")[0]
+    first, *others = print_with()[1].beads
+    faded = replace(first, width=np.where(first.s < 1e-3, 1e-5, first.width))
+    assert problem.process.skirt is not None
+    toolpath = with_skirt(problem, replace(print_with()[1], beads=(faded, *others)), problem.process.skirt)
+    assert {float(line.width[0]) for line in lines_of(toolpath)} == {1e-3 * WIDTH}
+    assert AROUND not in failed(found(problem, toolpath))
 
 
 @pytest.mark.slow

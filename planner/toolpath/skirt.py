@@ -44,7 +44,7 @@ def _lines(spec: SkirtSpec, first: list[Bead]) -> Iterator[PlanePath]:
     covered = shapely.union_all(
         [shapely.LineString(bead.points[:, :2]).buffer(0.5 * float(bead.width.max()), quad_segs=_ARC) for bead in first]
     )
-    width, number = float(first[0].width[0]), 0
+    width, number = float(np.median(first[0].width)), 0  # whose flow may grow at its start
     for k in reversed(range(spec.loops)):
         around = covered.buffer(spec.gap + (k + 0.5) * width, quad_segs=_ARC)
         for polygon in shapely.get_parts(around):
@@ -63,7 +63,7 @@ def _bead(problem: Problem, path: PlanePath, like: Bead, z: float) -> Bead:
     points = place(curve.points)
     normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     (zero,) = roll_zeros([normals])
-    size = float(like.width[0]), float(like.height[0])
+    size = float(np.median(like.width)), float(np.median(like.height))
     return make_bead(
         path.name, like.layer, points, normals, zero, place(densify(curve.source)), *size, True, like.material
     )

@@ -28,7 +28,7 @@ def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
     if spec is None or judged.trajectory.first_bead or not there.any():
         return []
     lines, layer = places.some(own), places.some(there)
-    width = float(judged.toolpath.beads[int(layer.bead[0])].width[0])
+    width = float(np.median(judged.toolpath.beads[int(layer.bead[0])].width))
     away = cKDTree(layer.tip).query(lines.tip)[0] if own.any() else np.zeros(0)
     step = spec.gap + width  # from the layer's middle line to the first line's
     number = np.clip(np.rint((away - step) / width), 0, spec.loops - 1)
