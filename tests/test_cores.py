@@ -192,6 +192,13 @@ def test_short_pieces_are_left_out_and_counted() -> None:
 
 
 @pytest.mark.slow
+def test_short_pieces_of_the_pattern_are_counted_in_each_layer() -> None:
+    """Two of 1.2 and 1.6 mm, besides 28 pieces of layers that are short at their own ends."""
+    (note,) = build_toolpath(load_problem("aerofoil_core_tapered")).notes
+    assert note == "56 pieces of layers shorter than 1.8 mm left out, 48.3 mm in all"
+
+
+@pytest.mark.slow
 def test_a_steep_part_is_left_out() -> None:
     gentle = core("aerofoil_core", "layers.tilt_deg=20", "layers.count=2")
     normals = np.vstack([bead.normals for bead in gentle.beads])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -196,8 +196,9 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     paths = [placed(path, spec) for path in paths_of(problem, spec.source)]
     space = _space(problem, spec)
     shortest = _SHORTEST * process.bead.width
-    trimmed, least = _trimmed(problem, spec, space, paths)
-    trimmed = [path for path in trimmed if length(path.points) >= shortest]
+    found, least = _trimmed(problem, spec, space, paths)
+    trimmed = [path for path in found if length(path.points) >= shortest]
+    crumbs = [path for path in found if length(path.points) < shortest]
     if not trimmed:
         raise _no_room(problem, "all pieces of the pattern within the core are too short")
     check_curves(problem, [path.points for path in trimmed], 1, size_key(spec.source))
@@ -209,7 +210,7 @@ def lay_core(problem: Problem, spec: CoreLayersSpec) -> Toolpath:
     laid: list[Level] = []
     for level in _levels(spec, max(float(surface.room(curve.points).max()) for curve in curves)):
         pieces, short = _pieces(surface, level, curves, spec.tilt, shortest)
-        left_out += short
+        left_out += [*short, *_lengths_within(space, level, crumbs, spec.tilt)]
         if not pieces:
             continue
         rows.append(in_order(pieces, process.order, rows[-1][-1].points[-1] if rows else None))
@@ -365,6 +366,14 @@ def _pieces(
             else:
                 kept.append(piece if len(found) == 1 else replace(piece, name=f"{curve.name} piece {number}"))
     return kept, short
+
+
+def _lengths_within(space: _Cavity, level: Level, paths: Sequence[PlanePath], tilt: float) -> Iterator[float]:
+    """How much [m] of each of some paths lies where a layer has room, if any does."""
+    for path in paths:
+        there = space.room(densify(path.points), tilt + _STEEPER) >= level.room
+        if there.any():
+            yield length(path.points) * float(there.mean())
 
 
 def _lay(surface: CoreSurface, rows: Sequence[Sequence[PlaneCurve]], width: float, share: float) -> list[Bead]:
