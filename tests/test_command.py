@@ -578,7 +578,7 @@ def test_exit_code_of_the_process(tmp_path: Path) -> None:
 HELD_UP = """
 import sys, time
 from pathlib import Path
-import planner.base.results, planner.planning.pipeline
+import planner.base.results, planner.planning.pipeline, planner.planning.solve_command
 from planner.base.launch import end, launch
 
 def hold(module, name, before):
@@ -664,6 +664,15 @@ def test_interruption_leaves_earlier_results(tmp_path: Path, place: str, number:
     write_small(tmp_path)
     put_earlier(tmp_path / "results")
     nothing_came_of_it(tmp_path, place, number)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM], ids=["SIGINT", "SIGTERM"])
+def test_interruption_once_results_are_in_place_changes_nothing(tmp_path: Path, number: int) -> None:
+    write_small(tmp_path)
+    outcome = interrupted(tmp_path, "planner.planning.solve_command", "print_summary", True, seconds=1.0, number=number)
+    assert outcome.code == 0 and "interrupted" not in outcome.err and "results" in outcome.out
+    assert set(contents(tmp_path / "results")) == VERIFIED
 
 
 @pytest.mark.slow

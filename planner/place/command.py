@@ -22,6 +22,7 @@ from planner.base.distribution import crew as spread_crew
 from planner.base.errors import EXIT_VERIFIED, OutputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
+from planner.base.signals import no_more_interruptions
 from planner.cell.cell import build_cell
 from planner.place.site import ANGLES, FREEDOMS, PartPlace, StudyRequest, axes_of, changed_fields, place_of, site_of
 from planner.place.study import Crew, PlaceOutcome, Slice, Study, crew_of, study
@@ -197,6 +198,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             if options.best:
                 with stages.counted("solve", 1 + len(found.best)) as tick:
                     solved = outcomes(found, crew, tick)
+    no_more_interruptions()  # which would say that nothing was written
     names = [axis.name for axis in found.axes]
     out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)
     out.print(table_of(problem, found, solved, names))

@@ -17,6 +17,7 @@ from planner.base.distribution import crew
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.base.progress import Stages
 from planner.base.results import results_folder
+from planner.base.signals import no_more_interruptions
 from planner.cell.cell import build_cell
 from planner.export.languages import chosen
 from planner.export.write import forecast_words, program_notes, write_refusal
@@ -64,6 +65,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             else:
                 plan = write_files(plan, fresh, stages, second_process=True)
                 reason = None
+    no_more_interruptions()  # which would say that nothing was written
     for sentence in told:
         errors.print(f"note: {sentence}", markup=False, soft_wrap=True)
     if reason is not None:
