@@ -37,7 +37,7 @@ from planner.problem.drawings import LayersSpec
 from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.svg.outlines import read_svg
+from planner.toolpath.svg.outlines import read_svg_once
 from planner.toolpath.wing.section import read_section
 
 EXIT_CRASHED = 1
@@ -102,7 +102,7 @@ def check_logo(problem: Problem, toolpath: Toolpath) -> None:
     spec, part = problem.layers, problem.part
     if not isinstance(spec, LayersSpec) or part is None or part.cylinder is None:
         raise Nonsense("is no drawing on a cylinder")
-    drawn = sum(_length(path.points) for path in read_svg(spec.source.svg, spec.source.width, 1e-5))
+    drawn = sum(_length(path.points) for path in read_svg_once(spec.source.svg, spec.source.width, 1e-5)[0])
     printed, radius = 0.0, part.cylinder.radius + spec.height
     for bead in toolpath.beads:
         away = np.hypot(*(bead.points[:, :2] - part.cylinder.centre).T)

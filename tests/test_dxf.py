@@ -19,9 +19,10 @@ from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.drawings import DxfSpec
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
+from planner.toolpath.dxf.chains import DrawnLine, joined
 from planner.toolpath.dxf.reader import INSUNITS, DxfRead, read_drawing, read_dxf
 from planner.toolpath.svg.outlines import PlanePath
+from planner.toolpath.twins import without_twins
 from planner.verify.reread.plane_curves import read_again
 
 FLAT = 1e-6  # m

@@ -21,7 +21,7 @@ from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.svg import drawing
 from planner.toolpath.svg.drawing import Drawing
-from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.svg.outlines import PlanePath, read_svg, read_svg_once
 
 ROOT = Path(__file__).resolve().parents[1]
 BRISTOL = ROOT.parent / "shared/data/bristol/uob_logo.svg"
@@ -313,6 +313,22 @@ def test_use_nests_transforms_and_offsets(read: Read) -> None:
     points = framed(read, content)
     np.testing.assert_allclose(points[0], [(25, 7), (29, 7)], atol=1e-12)
     np.testing.assert_allclose(points[1], [(25, 11), (29, 11)], atol=1e-12)
+
+
+def test_what_is_drawn_twice_is_printed_once(tmp_path: Path) -> None:
+    """Either way round; but not what is drawn beside it."""
+    file = tmp_path / "twice.svg"
+    content = (
+        '<path d="M0 0L30 0L30 9"/><path d="M30 9L30 0L0 0"/><path d="M0 1L30 1L30 10"/><circle r="4"/><circle r="4"/>'
+    )
+    file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{content}</svg>')
+    paths, told = read_svg_once(file, 0.1, 1e-5)
+    assert [path.name for path in paths] == ["path 1", "path 3", "circle 1"]
+    assert told == ("layers.source.svg: 2 paths drawn twice left out",)
+    assert len(read_svg(file, 0.1, 1e-5)) == 5
+    problem = load_problem("cylinder_logo", [f"layers.source={{svg: {file}, width_mm: 30}}", "layers.count=1"])
+    toolpath = build_toolpath(problem)
+    assert len(toolpath.beads) == 3 and "layers.source.svg: 2 paths drawn twice left out" in toolpath.notes
 
 
 def test_symbols_are_fitted_into_their_use(read: Read) -> None:

@@ -24,7 +24,7 @@ from planner.toolpath.plane_paths import (
     with_seam,
 )
 from planner.toolpath.substrate.clipping import Clipped
-from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.svg.outlines import PlanePath, read_svg_once
 from planner.toolpath.workload import check_curves
 
 
@@ -127,7 +127,7 @@ def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tu
     if isinstance(spec.source, DxfSpec):
         return read_dxf(spec.source, tolerance, partial(problem.error, "layers.source.dxf"))
     where = partial(problem.error, "layers.source.svg")
-    return read_svg(spec.source.svg, spec.source.width, tolerance, where), ()
+    return read_svg_once(spec.source.svg, spec.source.width, tolerance, where)
 
 
 def _check_fit(problem: Problem, paths: tuple[PlanePath, ...], cylinder: Cylinder) -> None:

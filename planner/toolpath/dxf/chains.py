@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -13,9 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints
-from planner.base.geometry import arc_lengths
 
-_LOOKS = 5  # places of a line by which it is told from others
 End = tuple[int, int]  # a line, and its end: 0 or 1
 
 
@@ -27,23 +23,6 @@ class DrawnLine:
     group: str
     points: Array
     closed: bool
-
-
-def without_twins(lines: Sequence[DrawnLine], same: float) -> tuple[list[DrawnLine], int]:
-    """The lines without those that lie on another, either way round, and how many these are."""
-    seen: dict[tuple[str, int], list[Array]] = defaultdict(list)
-    kept = []
-    for line in lines:
-        arc = arc_lengths(line.points)
-        at = np.linspace(0.0, arc[-1], _LOOKS)
-        looks = np.column_stack([np.interp(at, arc, line.points[:, k]) for k in range(2)])
-        long = round(float(arc[-1]) / (4.0 * same))  # twins may be of neighbouring lengths
-        like = chain.from_iterable(seen[line.group, each] for each in (long - 1, long, long + 1))
-        if any(min(np.abs(looks - o).max(), np.abs(looks[::-1] - o).max()) <= same for o in like):
-            continue
-        seen[line.group, long].append(looks)
-        kept.append(line)
-    return kept, len(lines) - len(kept)
 
 
 def joined(lines: Sequence[DrawnLine], join: float) -> list[DrawnLine]:

@@ -12,6 +12,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,8 +24,9 @@ from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
 from planner.problem.drawings import NARROWEST_MM, WIDEST_MM, DxfSpec
 from planner.problem.part import UNITS
-from planner.toolpath.dxf.chains import DrawnLine, joined, without_twins
+from planner.toolpath.dxf.chains import DrawnLine, joined
 from planner.toolpath.svg.outlines import SAME_POINT, PlanePath, distinct
+from planner.toolpath.twins import without_twins
 
 _BINARY = b"AutoCAD Binary DXF"
 _DWG = re.compile(rb"AC10\d\d")
@@ -101,7 +103,7 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
     kept = [line for line in lines if np.ptp(line.points, axis=0).max() > same]
     if len(kept) < len(lines):
         notes.append(f"{_count(len(lines) - len(kept), 'line')} that are points, seen from above, left out")
-    kept, twins = without_twins(kept, max(same, min(spec.join, flatness) / scale))
+    kept, twins = without_twins(kept, max(same, min(spec.join, flatness) / scale), attrgetter("group"))
     if twins:
         notes.append(f"{_count(twins, 'line')} drawn twice left out")
     chains = joined(kept, spec.join / scale)

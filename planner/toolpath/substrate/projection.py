@@ -74,7 +74,7 @@ from planner.toolpath.substrate.mesh_surface import FacetTree
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, Part, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.substrate.scan_surface import scan_surface
-from planner.toolpath.svg.outlines import PlanePath, read_svg
+from planner.toolpath.svg.outlines import PlanePath, read_svg_once
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.workload import check_curves
 
@@ -313,7 +313,7 @@ def paths_and_notes(
         return read_dxf(source, process.chord_tolerance, partial(problem.error, "layers.source.dxf"))
     if isinstance(source, SvgSpec):
         where = partial(problem.error, "layers.source.svg")
-        return read_svg(source.svg, source.width, process.chord_tolerance, where), ()
+        return read_svg_once(source.svg, source.width, process.chord_tolerance, where)
     try:
         beside = process.bead.width + 2.0 * _SWING * process.corner_tolerance
         return pattern(source, beside, process.chord_tolerance), ()

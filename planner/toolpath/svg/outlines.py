@@ -16,6 +16,7 @@ from planner.base.errors import InputError
 from planner.toolpath.svg.cuts import cut_outlines, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing
+from planner.toolpath.twins import without_twins
 
 SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
 
@@ -81,6 +82,15 @@ def read_svg(
         copy = f" ({names[outline.name]})" if names[outline.name] > 1 else ""
         paths.append(PlanePath(outline.name + copy, points, closed))
     return tuple(paths)
+
+
+def read_svg_once(
+    path: Path, width: float, flatness: float, where: Callable[..., InputError] | None = None
+) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
+    """As `read_svg`, without paths that lie on another, which are what is told."""
+    paths, twins = without_twins(read_svg(path, width, flatness, where), flatness)
+    told = f"layers.source.svg: {twins} path{'' if twins == 1 else 's'} drawn twice left out"
+    return tuple(paths), (told,) if twins else ()
 
 
 def distinct(points: Array, same: float) -> Array:
