@@ -18,8 +18,8 @@ from planner.toolpath.workload import Workload, fewer
 
 # seconds: what a run takes in any case, for each waypoint, sample and bead, and for each ball that stands for the print
 _SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 1.2, 6.8e-5, 5.3e-5, 3.2e-2, 1.7e-5
-# bytes: the same
-_BYTES, _WAYPOINT, _SAMPLE, _BALL = 430e6, 3.3e3, 0.16e3, 0.6e3
+# bytes: the same; most of what a sample on a bead holds is counted with its waypoints, that of one at rest by itself
+_BYTES, _WAYPOINT, _SAMPLE, _BALL, _AT_REST = 430e6, 3.3e3, 0.16e3, 0.6e3, 1.1e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it
@@ -44,14 +44,14 @@ class Estimate:
 
 def estimate(work: Workload, speed: float, dt: float, resting: float = 0.0) -> Estimate:
     """What planning takes, about; speed [m/s] of the print, dt [s] between samples, resting [s] besides."""
-    samples = (work.length / speed + _TRAVEL * work.beads + _AROUND + resting) / dt
+    moving, at_rest = (work.length / speed + _TRAVEL * work.beads + _AROUND) / dt, resting / dt
     return Estimate(
         _SECONDS
         + _PER_WAYPOINT * work.waypoints
-        + _PER_SAMPLE * samples
+        + _PER_SAMPLE * (moving + at_rest)
         + _PER_BEAD * work.beads
         + _PER_BALL * work.balls,
-        _BYTES + _WAYPOINT * work.waypoints + _SAMPLE * samples + _BALL * work.balls,
+        _BYTES + _WAYPOINT * work.waypoints + _SAMPLE * moving + _AT_REST * at_rest + _BALL * work.balls,
     )
 
 
