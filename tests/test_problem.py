@@ -369,7 +369,7 @@ def test_a_mistake_is_told_with_its_place(
 )
 def test_ranges_include_their_ends(in_tmp: Path, key: str, low: float, high: float, unit: str) -> None:
     for good in (low, high):
-        value: Any = load(TEXT, [f"process.{key}={good}"]).process
+        value: Any = load(TEXT, ["process.travel_speed_mm_s=2000", f"process.{key}={good}"]).process
         for name in key.replace("_mm_s", "").replace("_mm", "").split("."):
             value = getattr(value, name)
         assert value == pytest.approx(good / 1000)
