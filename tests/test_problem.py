@@ -329,6 +329,7 @@ MISTAKES: list[tuple[str, str, int, str, str, str]] = [
     ("strategy: greedy", "program: {tool: a, station: A}", 27, "program.tool", "names both", "its own name"),
     ("strategy: greedy", "resolve: {rung_mm: 0.4}", 27, "resolve.rung_mm", "too small", "0.5 to 100 mm"),
     ("strategy: greedy", "resolve: {min_sigma: 1.5}", 27, "resolve.min_sigma", "too large", "0 to 1"),
+    ("strategy: greedy", "collision: {arm_mm: 60}", 27, "collision.arm_mm", "too large", "0 to 50 mm"),
     ("strategy: greedy", "resolve:", 27, "resolve", "section, not nothing", "roll_step_deg"),
     ("svg: drawings/logo.svg", "svg: 3", 19, "layers.source.svg", "must be a name, not 3", "quote"),
     ("svg: drawings/logo.svg", 'svg: "a\\0b"', 19, "layers.source.svg", "text", ""),

@@ -79,16 +79,19 @@ class FixtureSpec(BodySpec):
     )
 
 
+FARTHEST_KEPT_MM = 50  # as far as the verifier tells distances apart
+
+
 class CollisionSpec(Section):
     """How far everything in the cell keeps apart."""
 
-    nozzle: Annotated[float, Quantity("mm", 0, 100)] = key(
+    nozzle: Annotated[float, Quantity("mm", 0, FARTHEST_KEPT_MM)] = key(
         "nozzle_mm",
         "least distance of nozzle and print head from all but what lies at the nozzle's tip [mm]; default: 2, or where no "
         "verified plan keeps that, the first of 1, 0.5, 0.2 and 0 that one keeps",
         2,
     )
-    arm: Annotated[float, Quantity("mm", 0, 1000)] = key(
+    arm: Annotated[float, Quantity("mm", 0, FARTHEST_KEPT_MM)] = key(
         "arm_mm", "least distance of the robots' links from each other, from fixtures, part and print [mm]", 5
     )
 

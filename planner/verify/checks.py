@@ -17,6 +17,7 @@ from planner.collision.print_body import PrintBody
 from planner.plan import Check, Trajectory
 from planner.plan.plan import by_nozzle
 from planner.problem import Problem
+from planner.problem.cell import FARTHEST_KEPT_MM
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.executed import ExecutedMotion
@@ -24,7 +25,7 @@ from planner.verify.scanned import drawn_tips
 
 SPEED_TOLERANCE = 0.02  # of the commanded speed: within it a sample counts as at speed
 DIGITS = 1e-9  # relative: limits are compared with this much room for rounding
-FAR = 50e-3  # m: distances are told apart up to this one; what is farther away counts as so far away
+FAR = 1e-3 * FARTHEST_KEPT_MM  # m: distances are told apart up to this one; what is farther away counts as this far
 TOLERANCE = 1e-4  # m, by which the least distance that is found may exceed the true one
 _PIECE = re.compile(r", piece \d+$")  # behind the name of a drawn bead, where it is laid in pieces
 _SKIRT = re.compile(r"skirt [1-9]\d*")
