@@ -155,21 +155,31 @@ def test_the_lag_of_the_simulated_egm_robot_is_found(tmp_path: Path) -> None:
     asked = asked_of("cylinder_logo", joints=(2,), most=20.0)
     t, told = commands(asked, truth_of(cell))
     told = told[:: round(PERIOD / (t[1] - t[0]))]
-    rows = []
-    with egm_wire("127.0.0.1", 0) as wire:
-        # its station has two axes, of which the cell's is the second
-        stand = np.degrees(np.insert(told[0], 6, 0.0))
-        robot = EgmRobot(("127.0.0.1", wire.port), stand, pace=5.0)
-        try:
-            until = clock.monotonic() + 60.0
-            while len(rows) < len(told) and clock.monotonic() < until:
-                if (state := wire.newest()) is not None:
-                    reference = np.insert(told[len(rows)], 6, 0.0)
-                    wire.send(reference)
-                    rows.append((state.clock, np.delete(state.joints, 6), told[len(rows)]))
-        finally:
-            robot.close()
-    stamps, joints, references = (np.array(column) for column in zip(*rows, strict=True))
+
+    def run() -> tuple[Array, Array, Array]:
+        rows = []
+        with egm_wire("127.0.0.1", 0) as wire:
+            # its station has two axes, of which the cell's is the second
+            stand = np.degrees(np.insert(told[0], 6, 0.0))
+            robot = EgmRobot(("127.0.0.1", wire.port), stand, pace=5.0)
+            try:
+                until = clock.monotonic() + 60.0
+                while len(rows) < len(told) and clock.monotonic() < until:
+                    if (state := wire.newest()) is not None:
+                        reference = np.insert(told[len(rows)], 6, 0.0)
+                        wire.send(reference)
+                        rows.append((state.clock, np.delete(state.joints, 6), told[len(rows)]))
+            finally:
+                robot.close()
+        stamps, joints, references = (np.array(column) for column in zip(*rows, strict=True))
+        return stamps, joints, references
+
+    # the robot waits for nobody: what a busy machine was late for is run once more
+    stamps, joints, references = run()
+    for _ in range(4):
+        if np.diff(stamps).max() < 3.0 * PERIOD:
+            break
+        stamps, joints, references = run()
     joints = joints + np.random.default_rng(1).normal(0.0, NOISE, joints.shape)
     file = write_recording(
         tmp_path / "run.csv", Recording(stamps, joints, references), header(cell, commanded=True), commanded=True
