@@ -194,8 +194,8 @@ def solve(
         try:
             if toolpath.beads[0].round:
                 check_upright(given)
-            all_of_it = replace(given, first_bead=given.printed)
-            found, nearer = _as_can_be(strategy, all_of_it, print_of, stages, over)
+            whole_print = replace(given, first_bead=given.printed)
+            found, nearer = _as_can_be(strategy, whole_print, print_of, stages, over)
             begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
             if begin != found[0].first_bead:
                 found = _rest_of(strategy, found, begin, dt, stages, shared)
@@ -350,9 +350,11 @@ def _as_can_be(
     stages: Stages,
     over: Spread | None,
 ) -> tuple[Planned, Nearer | None]:
-    """The whole print, planned as `_as_clear_as_can_be`; where an upright nozzle has no way, with one that leans within its cone, and
-    where there is none as far from the ends of joints' ranges as searches keep, nearer to them, if that gives a verified
-    plan. Raises Refusal."""
+    """The whole print, planned as `_as_clear_as_can_be`.
+
+    Where an upright nozzle has no way, one that leans within its cone is tried; where there is none as far from the ends of
+    joints' ranges as searches keep, one nearer to them, if that gives a verified plan. Raises Refusal.
+    """
     try:
         return _as_clear_as_can_be(strategy, given, print_of, stages, over)
     except Refusal as refusal:
