@@ -483,6 +483,13 @@ def test_tools_are_changed_at_rest_at_home() -> None:
     assert "T0 cannot be said to linuxcnc" in str(unsupported_in_axes(plan))
 
 
+def test_what_runs_taught_of_the_robot_is_refused_for_another_machine() -> None:
+    plan = make_plan()
+    program = plan.problem.program.model_copy(update={"machine": spec("trunnion")})
+    taught = vars(plan.problem) | {"program": program, "as_run": object()}
+    assert "another one" in str(unsupported_in_axes(replace(plan, problem=SimpleNamespace(**taught))))  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [

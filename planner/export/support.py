@@ -193,6 +193,8 @@ def unsupported_in_axes(setup: Setup) -> str | None:
     spec: MachineSpec | None = setup.problem.program.machine
     if spec is None:
         return "program.machine describes no machine"
+    if spec.type != "robot" and setup.problem.as_run is not None:
+        return "as_run is what runs of the robot taught, and this machine is another one"
     if several := _one_nozzle(setup):
         return several
     if spec.type == "robot" and setup.cell.rails:
