@@ -13,6 +13,7 @@ import pytest
 from ezdxf.document import Drawing
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
@@ -132,6 +133,30 @@ def test_circles_ellipses_and_splines(tmp_path: Path) -> None:
     curve = ezdxf.math.BSpline(control)
     places = np.array([(p.x, p.y) for p in curve.points(np.linspace(0.0, curve.max_t, 20001))])
     assert size(spline) == pytest.approx(np.hypot(*np.diff(places, axis=0).T).sum(), rel=1e-3)
+
+
+@pytest.mark.parametrize("weights", [None, (1.0, 3.0, 1.0, 0.5)])
+def test_closed_splines_end_where_they_begin(tmp_path: Path, weights: tuple[float, ...] | None) -> None:
+    """They are not clamped: their knots go on beyond both ends of their domain."""
+    corners = [(0, 0), (40, 0), (40, 30), (0, 30)]
+
+    def draw(m: Any) -> None:
+        if weights is None:
+            m.add_spline().set_closed(corners)
+        else:
+            m.add_spline().set_closed_rational(corners, weights)
+
+    path = saved(tmp_path, draw)
+    (spline,) = read(path).paths
+    share = np.array(weights or (1, 1, 1, 1), dtype=float)[:, None]
+    control = np.hstack([share * corners, share])[[0, 1, 2, 3, 0, 1, 2]]
+    x, y, w = BSpline(np.arange(11.0), control, 3)(np.linspace(3.0, 7.0, 20001)).T
+    exact = np.column_stack([x / w, y / w])
+    assert spline.closed
+    assert size(spline) == pytest.approx(np.hypot(*np.diff(exact, axis=0).T).sum(), rel=1e-3)
+    assert np.ptp(spline.points, axis=0) * 1e3 == pytest.approx(np.ptp(exact, axis=0), abs=0.01)
+    (again,) = read_again(DxfSpec.model_construct(dxf=path, unit=None, width=None, layers=None))
+    assert np.ptp(again, axis=0) * 1e3 == pytest.approx(np.ptp(exact, axis=0), abs=0.01)
 
 
 @pytest.mark.parametrize("unit", [1, 4, 5, 6])

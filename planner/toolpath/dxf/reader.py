@@ -12,6 +12,7 @@ import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from operator import attrgetter
 from typing import Any, NamedTuple
 
@@ -325,7 +326,7 @@ def _vertices(entity: Any, chord: float) -> Iterator[Any]:
     elif kind == "ELLIPSE":
         yield from entity.flattening(chord)
     elif kind in ("SPLINE", "HELIX"):
-        yield from entity.flattening(chord, _SPANS)
+        yield from _spline(entity.construction_tool(), chord)
     elif kind == "POLYLINE" and not entity.is_2d_polyline:
         points = list(entity.points())
         yield from points
@@ -333,6 +334,23 @@ def _vertices(entity: Any, chord: float) -> Iterator[Any]:
             yield points[0]
     else:
         yield from _polyline(entity, chord)
+
+
+def _spline(tool: Any, chord: float) -> Iterator[Any]:
+    """Vertices of a spline; of one that is not clamped, as closed ones are, within its domain, beyond which it has knots."""
+    if tool.is_clamped:
+        yield from tool.flattening(chord, _SPANS)
+        return
+    ends = np.unique(tool.knots()[tool.degree : tool.count + 1])
+    u = np.unique([np.linspace(a, b, _SPANS + 1) for a, b in pairwise(ends)])
+    while len(u) <= DRAWING_POINTS.most:
+        half = 0.5 * (u[1:] + u[:-1])
+        at, between = (np.array([point.xyz for point in tool.points(t)]) for t in (u, half))
+        off = np.linalg.norm(between - 0.5 * (at[1:] + at[:-1]), axis=1) > chord
+        if not off.any():
+            break
+        u = np.sort(np.append(u, half[off]))
+    yield from tool.points(u)
 
 
 def _straighten(entity: Any) -> None:

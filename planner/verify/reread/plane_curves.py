@@ -23,7 +23,7 @@ from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec
 
 _STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
 _FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
-_SPANS, _PIECE = 200, 8  # chords between the knots of a NURBS curve, and at least of a drawing's spline
+_SPANS = 200  # chords between the knots of a NURBS curve
 # What svgelements does not cut by, and what it draws where it stands instead of where it is used.
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
@@ -126,12 +126,13 @@ def _dxf(
 
 
 def _along(entity: Any) -> Array:
-    """Points (n, 2) along an entity: ezdxf's own path, but for splines, which it makes up of Bezier curves that are near."""
+    """Points (n, 2) along an entity: ezdxf's own path, but of splines, which that only comes near to, by de Boor's recursion."""
     from ezdxf.path import make_path
 
     if entity.dxftype() == "SPLINE":
-        size = float(np.ptp(np.array(entity.construction_tool().control_points)[:, :2], axis=0).max())
-        return np.array([(p.x, p.y) for p in entity.flattening(max(_FINE * size, 1e-12), _PIECE)])
+        tool = entity.construction_tool()
+        places = np.array([(p.x, p.y) for p in tool.control_points])
+        return _nurbs(tool.degree, places, tool.weights() or None, tool.knots())
     path = make_path(entity)
     if not len(path):
         return np.zeros((0, 2))
