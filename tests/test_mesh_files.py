@@ -122,6 +122,38 @@ def test_bodies_of_a_3mf_stand_where_they_are_put(tmp_path: Path) -> None:
     np.testing.assert_allclose(sizes(path), [100.0, *SIDES[1:]], rtol=1e-6)
 
 
+@pytest.mark.parametrize(("numbers", "parts"), [((1, 3), (0, 1)), ((1, 3), (0, 0)), ((1, 1), (0, 1))])
+def test_parts_of_a_3mf_are_read_where_their_bodies_are_told_apart(
+    tmp_path: Path, numbers: tuple[int, int], parts: tuple[int, int]
+) -> None:
+    """An assembly of two bodies, each in a part of its own or both in one, as Bambu Studio saves them."""
+    pytest.importorskip("lxml")
+    pytest.importorskip("networkx")
+    path, files = tmp_path / "part.3mf", ["3D/Objects/a.model", "3D/Objects/b.model"]
+    with zipfile.ZipFile(io.BytesIO(in_3mf(None, box()))) as archive:
+        alone = archive.read("3D/3dmodel.model").decode()
+    head, found, _ = alone.partition("<resources>")
+    body = alone[alone.index("<object") : alone.index("</resources>")]
+    made = [body.replace('id="1"', f'id="{number}"') for number in numbers]
+    held = ["".join(each for each, part in zip(made, parts, strict=True) if part == k) for k in range(2)]
+    used = "".join(
+        f'<component p:path="/{files[part]}" objectid="{number}" transform="1 0 0 0 1 0 0 0 1 {60 * k} 0 0"/>'
+        for k, (number, part) in enumerate(zip(numbers, parts, strict=True))
+    )
+    production = ' xmlns:p="http://schemas.microsoft.com/3dmanufacturing/production/2015/06">'
+    assembly = f'<object id="9" type="model"><components>{used}</components></object></resources>'
+    with zipfile.ZipFile(path, "w") as archive:
+        build = '<build><item objectid="9"/></build></model>'
+        archive.writestr("3D/3dmodel.model", head[:-1] + production + found + assembly + build)
+        for file, bodies in zip(files, held, strict=True):
+            archive.writestr(file, f"{head}{found}{bodies}</resources><build/></model>")
+    if len(set(numbers)) == len(set(parts)) == 2:
+        np.testing.assert_allclose(sizes(path), [100.0, *SIDES[1:]], rtol=1e-6)
+        return
+    with pytest.raises(InputError, match=r"bodies in the parts of part\.3mf cannot be told apart"):
+        sizes(path)
+
+
 def test_a_missing_package_is_named_with_its_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "lxml", None)
     monkeypatch.setitem(sys.modules, "lxml.etree", None)

@@ -36,6 +36,9 @@ _FACET = 50
 _THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a line and has no normal
 _MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
 _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
+_MODEL_3MF = "3d/3dmodel.model"  # in small letters: which the other parts of a file are parts of
+_NUMBER_3MF = re.compile(rb"<(?:\w+:)?object\b[^>]*?\sid\s*=\s*[\"'](\d+)")
+_BODY_3MF = re.compile(rb"<(?:\w+:)?mesh\b")
 # What trimesh's readers raise at files that are none, or damaged.
 _UNREADABLE = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError, NotImplementedError, RuntimeError,
@@ -241,11 +244,24 @@ def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(each.file_size for each in archive.infolist())
+            told_apart = size > LARGEST_FILE or _told_apart(archive)
     except _UNREADABLE as error:
         raise where(f"{path.name} is no 3MF file, or damaged: {error}") from None
     if size > LARGEST_FILE:
         raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB once it is unpacked", hint=_FEWER)
+    if not told_apart:
+        reason = f"bodies in the parts of {path.name} cannot be told apart, as Bambu Studio and OrcaSlicer save assemblies"
+        raise where(reason, hint="export it as STL")
     return _by_trimesh(path, data, "3mf", where)
+
+
+def _told_apart(archive: zipfile.ZipFile) -> bool:
+    """Whether trimesh tells the bodies in the parts of a 3MF file from each other: of a part it takes all for each that is
+    asked for, and of several parts all that have one number."""
+    texts = {name.lower(): archive.read(name) for name in archive.namelist() if name.lower().endswith(".model")}
+    numbers = [number for text in texts.values() for number in set(_NUMBER_3MF.findall(text))]
+    apart = [text for name, text in texts.items() if _MODEL_3MF not in name]
+    return len(set(numbers)) == len(numbers) and all(len(_BODY_3MF.findall(text)) <= 1 for text in apart)
 
 
 def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options: Any) -> trimesh.Trimesh:
