@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import sys
 import zipfile
 from functools import partial
@@ -67,6 +68,45 @@ def test_squares_of_an_obj_are_two_facets_each_whatever_its_groups(tmp_path: Pat
         lines += [f"g side{i}", "usemtl red", "f " + " ".join(f"{n}//1" if i % 2 else n for n in square.split())]
     (tmp_path / "part.obj").write_text("mtllib none.mtl\nvn 0 0 1\n" + "\n".join(lines))
     np.testing.assert_allclose(sizes(tmp_path / "part.obj"), [40, 40, 40])
+
+
+L_SHAPED = np.array(
+    [(20, 0), (20, 10), (10, 10), (10, 20), (0, 20), (0, 10), (0, 0), (10, 0)]
+)  # two corners are straight
+
+
+@pytest.mark.parametrize("first", [0, 2])
+@pytest.mark.parametrize("kind", ["obj", "off", "ply", "binary.ply"])
+def test_facets_that_are_not_convex_are_cut_right_or_refused(tmp_path: Path, kind: str, first: int) -> None:
+    """From the corner that turns the other way, facets are seen whole."""
+    n, path = len(L_SHAPED), tmp_path / f"part.{kind}"
+    rim = np.roll(L_SHAPED, -first, axis=0)
+    corners = np.vstack([np.column_stack([rim, np.full(n, z)]) for z in (0, 5)])
+    ends = [(np.roll(np.arange(n), -1)[::-1]).tolist(), list(range(n, 2 * n))]
+    walls = [[i, (i + 1) % n, (i + 1) % n + n, i + n] for i in range(n)]
+    facets = ends if kind == "binary.ply" else ends + walls
+    lines = [" ".join(map(str, corner)) for corner in corners]
+    listed = [" ".join(map(str, [len(facet), *facet])) for facet in facets]
+    head = f"ply\nformat {{}} 1.0\nelement vertex {2 * n}\nproperty float x\nproperty float y\nproperty float z\n"
+    head += f"element face {len(facets)}\nproperty list uchar int vertex_indices\nend_header\n"
+    if kind == "obj":
+        path.write_text(
+            "\n".join([f"v {each}" for each in lines] + ["f " + " ".join(str(k + 1) for k in f) for f in facets])
+        )
+    elif kind == "off":
+        path.write_text("\n".join(["OFF # by hand", f"{2 * n} {len(facets)} 0", *lines, *listed]))
+    elif kind == "ply":
+        path.write_text(head.format("ascii") + "\n".join([*lines, *listed]) + "\n")
+    else:
+        packed = b"".join(struct.pack(f"<B{n}i", n, *facet) for facet in facets)
+        path.write_bytes(head.format("binary_little_endian").encode() + corners.astype("<f4").tobytes() + packed)
+    if first == 0:
+        with pytest.raises(InputError, match="has a facet of 8 corners that is not convex"):
+            sizes(path)
+        return
+    a, b, c = read_corners(path, partial(InputError, file=path)).transpose(1, 0, 2)
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() * 1e6
+    assert area == pytest.approx(2 * 300.0 + (0.0 if kind == "binary.ply" else 80.0 * 5.0))
 
 
 @pytest.mark.parametrize("unit", UNITS)

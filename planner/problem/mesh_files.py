@@ -9,6 +9,7 @@ import struct
 import warnings
 import zipfile
 import zlib
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "i
 _MODEL_3MF = "3d/3dmodel.model"  # in small letters: which the other parts of a file are parts of
 _NUMBER_3MF = re.compile(rb"<(?:\w+:)?object\b[^>]*?\sid\s*=\s*[\"'](\d+)")
 _BODY_3MF = re.compile(rb"<(?:\w+:)?mesh\b")
+_OFF_REMARK = re.compile(rb"#[^\n]*")
+_FOLD = 1e-4  # of what a file extends: so far corners may be off the line between others, as they are rounded
 # What trimesh's readers raise at files that are none, or damaged.
 _UNREADABLE = (
     ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, NameError, NotImplementedError, RuntimeError,
@@ -211,6 +214,8 @@ def _ply(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     mesh = _by_trimesh(path, data, "ply", where)
     if len(mesh.faces) < announced:
         raise where(f"{path.name} is damaged: it announces {announced} facets and {len(mesh.faces)} can be read")
+    if len(mesh.faces) > announced:
+        _check_pieces(path, data, "ply", where)
     return mesh
 
 
@@ -220,11 +225,17 @@ def _obj(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     mesh = _by_trimesh(path, _as_utf8(data), "obj", where, skip_materials=True)
     if len(mesh.faces) < count:
         raise where(f"{path.name} is damaged: of {count} facets {len(mesh.faces)} can be read")
+    if len(mesh.faces) > count:
+        _check_pieces(path, data, "obj", where)
     return mesh
 
 
 def _off(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
-    return _by_trimesh(path, _as_utf8(data), "off", where)
+    mesh = _by_trimesh(path, _as_utf8(data), "off", where)
+    head = re.search(rb"OFF\s+\d+\s+(\d+)", _OFF_REMARK.sub(b"", data))
+    if head is None or len(mesh.faces) > int(head[1]):
+        _check_pieces(path, data, "off", where)
+    return mesh
 
 
 def _as_utf8(data: bytes) -> bytes:
@@ -250,7 +261,9 @@ def _3mf(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     if size > LARGEST_FILE:
         raise where(f"{path.name} is larger than {LARGEST_FILE // 10**6} MB once it is unpacked", hint=_FEWER)
     if not told_apart:
-        reason = f"bodies in the parts of {path.name} cannot be told apart, as Bambu Studio and OrcaSlicer save assemblies"
+        reason = (
+            f"bodies in the parts of {path.name} cannot be told apart, as Bambu Studio and OrcaSlicer save assemblies"
+        )
         raise where(reason, hint="export it as STL")
     return _by_trimesh(path, data, "3mf", where)
 
@@ -282,6 +295,74 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
     if not isinstance(mesh, trimesh.Trimesh):
         raise where(f"{path.name} holds no facets", hint="points and lines alone are no surface: make a mesh of them")
     return mesh
+
+
+def _check_pieces(path: Path, data: bytes, kind: str, where: Complaint) -> None:
+    """Raises the InputError of `where` for facets that trimesh, which cuts each from its first corner, cuts wrongly."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            count = _wrongly_cut(*_POLYGONS[kind](data))
+    except _UNREADABLE as error:
+        raise where(f"{path.name} is no {kind.upper()} file, or damaged: {error}") from None
+    if count:
+        raise where(
+            f"{path.name} has a facet of {count} corners that is not convex", hint="triangulate facets on export"
+        )
+
+
+def _wrongly_cut(places: Array, polygons: Sequence[Sequence[int]]) -> int:
+    """The number of corners, which are `places` (n, 3), of a polygon of which a piece between its first corner and two that
+    follow each other faces the other way than the whole; 0 where there is none."""
+    slack = _FOLD * float(np.ptp(places, axis=0).max())
+    for count in sorted({len(each) for each in polygons if len(each) > 3}):
+        corners = places[np.array([each for each in polygons if len(each) == count])]
+        ways = corners[:, 1:] - corners[:, :1]
+        pieces = np.cross(ways[:, :-1], ways[:, 1:])  # normals, as long as twice the area
+        whole = pieces.sum(axis=1, keepdims=True)
+        whole = whole / np.maximum(np.linalg.norm(whole, axis=2, keepdims=True), np.finfo(float).tiny)
+        sides = np.stack([ways[:, :-1], ways[:, 1:], np.diff(ways, axis=1)])
+        if ((pieces * whole).sum(axis=2) < -slack * np.linalg.norm(sides, axis=3).max(axis=0)).any():
+            return count
+    return 0
+
+
+def _polygons_of_ply(data: bytes) -> tuple[Array, Any]:
+    """Corners (n, 3), and of each facet the numbers of its own."""
+    import trimesh
+
+    raw = trimesh.exchange.ply.load_ply(io.BytesIO(data), skip_materials=True)["metadata"]["_ply_raw"]
+    places = np.column_stack([raw["vertex"]["data"][axis] for axis in "xyz"]).astype(float)
+    faces = raw["face"]["data"]
+    names = list(faces) if isinstance(faces, dict) else faces.dtype.names
+    listed = faces[max(names, key=lambda name: name.startswith("vertex_ind"))]
+    return places, listed if isinstance(faces, dict) else listed["f1"]
+
+
+def _polygons_of_obj(data: bytes) -> tuple[Array, list[list[int]]]:
+    """Corners (n, 3), and of each facet with more than three the numbers of its own."""
+    text = re.sub(rb"\\\r?\n", b" ", data)
+    places = np.array(re.findall(rb"^v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", text, re.MULTILINE), dtype=float)
+    found = re.findall(rb"^[ \t]*f((?:[ \t]+[-\d/]+){4,})", text, re.MULTILINE)
+    numbers = [[int(word.partition(b"/")[0]) for word in words.split()] for words in found]
+    return places, [[number - (number > 0) for number in each] for each in numbers]
+
+
+def _polygons_of_off(data: bytes) -> tuple[Array, list[list[int]]]:
+    """Corners (n, 3), and of each facet the numbers of its own."""
+    text = _OFF_REMARK.sub(b"", data).partition(b"OFF")[2]
+    lines = [words for line in text.splitlines() if (words := line.split())]
+    first = int(lines[0][0]) + 1
+    places = np.array([words[:3] for words in lines[1:first]], dtype=float)
+    facets = lines[first : first + int(lines[0][1])]
+    return places, [[int(number) for number in words[1 : int(words[0]) + 1]] for words in facets]
+
+
+_POLYGONS: dict[str, Callable[[bytes], tuple[Array, Sequence[Sequence[int]]]]] = {
+    "ply": _polygons_of_ply,
+    "obj": _polygons_of_obj,
+    "off": _polygons_of_off,
+}
 
 
 def _cad(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
