@@ -256,6 +256,29 @@ def test_blocks_are_placed_turned_and_scaled(tmp_path: Path) -> None:
     assert np.ptp(found.paths[1].points[:, 0]) == pytest.approx(0.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("nested", [False, True])
+@pytest.mark.parametrize("unseen", [{"invisible": 1}, {"layer": "Aids"}])
+def test_blocks_whose_reference_is_not_seen_are_not_printed(
+    tmp_path: Path, unseen: dict[str, object], nested: bool
+) -> None:
+    document = ezdxf.new(units=MM)
+    document.layers.add("aids").freeze()
+    document.blocks.new("PART").add_line((0, 5), (40, 5), {"layer": "ribs"})
+    model = document.modelspace()
+    model.add_line((0, 0), (9, 9))
+    if nested:
+        model.add_blockref("PAIR", (0, 0))
+    (document.blocks.new("PAIR") if nested else model).add_blockref("PART", (0, 0), unseen)
+    path = tmp_path / "blocks.dxf"
+    document.saveas(path)
+    found = read(path)
+    assert sizes(found) == pytest.approx([math.hypot(9, 9)]) and "hidden, or on layers that are off" in found.notes[0]
+    (again,) = read_again(DxfSpec.model_construct(dxf=path, unit=None, width=None, layers=None))
+    assert np.ptp(again, axis=0) * 1e3 == pytest.approx([9.0, 9.0])
+    if "layer" in unseen:
+        assert sizes(read(path, layers=("ribs",))) == pytest.approx([40.0])
+
+
 def test_what_is_no_line_and_what_is_not_level_is_told(tmp_path: Path) -> None:
     def draw(m: Any) -> None:
         m.add_line((0, 0, 0), (30, 0, 4))

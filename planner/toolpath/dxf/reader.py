@@ -10,7 +10,7 @@ import logging
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from operator import attrgetter
@@ -164,7 +164,8 @@ def _walked(document: Any, spec: DxfSpec, where: Complaint) -> _Found:
     known = {layer.dxf.name.lower(): layer for layer in document.layers}
     wanted = None if spec.layers is None else {name.lower() for name in spec.layers}
     visits = _Visits(spec.dxf.name, where)
-    shown = list(_parts(document.modelspace(), "0", 0, found.others, visits))
+    frozen = {name for name, layer in known.items() if wanted is None and layer.is_frozen()}
+    shown = list(_parts(document.modelspace(), "0", 0, found.others, visits, frozen))
     used = {layer.lower(): layer for _, layer in shown} | {name: layer.dxf.name for name, layer in known.items()}
     for name in spec.layers or ():
         if name.lower() not in used:
@@ -205,14 +206,15 @@ class _Visits:
 
 
 def _parts(
-    entities: Iterable[Any], layer: str, depth: int, others: Counter[str], visits: _Visits
+    entities: Iterable[Any], layer: str, depth: int, others: Counter[str], visits: _Visits, frozen: Collection[str]
 ) -> Iterator[tuple[Any, str]]:
-    """Entities and the layer that each is drawn on; blocks taken apart, in which layer 0 is that of the reference."""
+    """Entities and the layer that each is drawn on; blocks taken apart, in which layer 0 is that of the reference, unless that
+    is hidden or on a layer that is frozen."""
     for entity in entities:
         visits.one_more()
         own = str(entity.dxf.get("layer", "0"))
         own = layer if depth and own == "0" else own
-        if entity.dxftype() != "INSERT":
+        if entity.dxftype() != "INSERT" or entity.dxf.get("invisible", 0) or own.lower() in frozen:
             yield entity, own
         elif depth >= DXF_DEPTH.most or entity.block() is None:
             others["INSERT without its block" if entity.block() is None else "INSERT nested too deeply"] += 1
@@ -230,7 +232,7 @@ def _parts(
                 except _UNDRAWN:
                     others["INSERT without size"] += 1
                     continue
-                yield from _parts(inner, own, depth + 1, others, visits)
+                yield from _parts(inner, own, depth + 1, others, visits, frozen)
 
 
 def _told(found: _Found, spec: DxfSpec) -> list[str]:

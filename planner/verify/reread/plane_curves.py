@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -109,11 +109,13 @@ def _dxf(
 
     try:
         document, _ = recover.readfile(path)
-        off = {layer.dxf.name.lower() for layer in document.layers if layer.is_off() or layer.is_frozen()}
+        layers = {layer.dxf.name.lower(): layer for layer in document.layers}
+        off = {name for name, layer in layers.items() if layer.is_off() or layer.is_frozen()}
         wanted = None if names is None else {name.lower() for name in names}
+        frozen = {name for name in off if wanted is None and layers[name].is_frozen()}
         lines = [
             _along(entity)
-            for entity, layer in _entities(document.modelspace())
+            for entity, layer in _entities(document.modelspace(), frozen)
             if (layer not in off if wanted is None else layer in wanted)
         ]
     except (DXFError, ArithmeticError, TypeError, ValueError) as error:
@@ -140,16 +142,20 @@ def _along(entity: Any) -> Array:
     return np.array([(p.x, p.y) for p in path.flattening(max(_FINE * size, 1e-12))])
 
 
-def _entities(container: Iterable[Any], inherited: str | None = None) -> Iterator[tuple[Any, str]]:
-    """The entities that are lines, blocks taken apart, each with the layer that it is on."""
+def _entities(
+    container: Iterable[Any], frozen: Collection[str], inherited: str | None = None
+) -> Iterator[tuple[Any, str]]:
+    """The entities that are lines and seen, blocks taken apart, each with the layer that it is on."""
     for entity in container:
         layer = entity.dxf.layer.lower()
         if layer == "0" and inherited is not None:
             layer = inherited
-        if entity.dxftype() == "INSERT":
+        if entity.dxf.get("invisible", 0):
+            continue
+        if entity.dxftype() == "INSERT" and layer not in frozen:
             for one in entity.multi_insert() if entity.mcount > 1 else (entity,):
-                yield from _entities(one.virtual_entities(), layer)
-        elif entity.dxftype() in _LINES and not entity.dxf.get("invisible", 0):
+                yield from _entities(one.virtual_entities(), frozen, layer)
+        elif entity.dxftype() in _LINES:
             yield entity, layer
 
 
