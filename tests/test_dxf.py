@@ -117,6 +117,20 @@ def test_polylines_keep_their_vertices(tmp_path_factory: Any, points: list[tuple
     assert found.paths[0].closed == closed
 
 
+@pytest.mark.parametrize("kind", ["add_polyline2d", "add_polyline3d"])
+def test_frames_of_polylines_that_are_splines_are_not_printed(tmp_path: Path, kind: str) -> None:
+    def draw(m: Any) -> None:
+        line = getattr(m, kind)([(0, 0), (0, 0), (50, 80), (30, 20), (60, 0), (60, 0)])
+        line.dxf.flags |= 4
+        for k, vertex in enumerate(line.vertices):
+            vertex.dxf.flags |= 16 if k in (0, 2, 5) else 8
+
+    path = saved(tmp_path, draw)
+    assert sizes(read(path)) == pytest.approx([2.0 * math.hypot(30, 20)])
+    (again,) = read_again(DxfSpec.model_construct(dxf=path, unit=None, width=None, layers=None))
+    assert np.ptp(again, axis=0) * 1e3 == pytest.approx([60.0, 20.0])
+
+
 def test_circles_ellipses_and_splines(tmp_path: Path) -> None:
     control = [(0, 0), (10, 30), (30, -20), (40, 10), (60, 0)]
 

@@ -39,6 +39,7 @@ _SPANS = 8  # pieces of a spline between knots that are looked at
 _FLAT = 1e-9  # of the extent: heights that differ by less are one
 _STRAIGHT = 1e-6  # a smaller bulge (rise over half the chord) is none
 _FARTHEST = 1e12  # of the drawing's units: farther off, fractions of a drawing as large as a part are lost
+_FRAME = 16  # flag of a vertex that is a corner of a spline's frame
 _SHOWN = 8  # names in a sentence
 
 LINES = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE", "HELIX")
@@ -356,12 +357,14 @@ def _spline(tool: Any, chord: float) -> Iterator[Any]:
 
 
 def _straighten(entity: Any) -> None:
-    """Make straight what a polyline bulges by a hair: the arc's centre would be too far away to compute with."""
+    """Make straight what a polyline bulges by a hair: the arc's centre would be too far away to compute with; and leave out the
+    corners of the frame of one that is a spline, which no program shows."""
     if entity.dxftype() == "LWPOLYLINE":
         rows = entity.get_points("xyseb")
         if any(0.0 < abs(row[4]) < _STRAIGHT for row in rows):
             entity.set_points([(*row[:4], row[4] if abs(row[4]) >= _STRAIGHT else 0.0) for row in rows], "xyseb")
     elif entity.dxftype() == "POLYLINE":
+        entity.vertices[:] = [each for each in entity.vertices if not each.dxf.flags & _FRAME] or entity.vertices
         for vertex in entity.vertices:
             if 0.0 < abs(vertex.dxf.get("bulge", 0.0)) < _STRAIGHT:
                 vertex.dxf.bulge = 0.0

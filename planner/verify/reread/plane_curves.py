@@ -135,6 +135,8 @@ def _along(entity: Any) -> Array:
         tool = entity.construction_tool()
         places = np.array([(p.x, p.y) for p in tool.control_points])
         return _nurbs(tool.degree, places, tool.weights() or None, tool.knots())
+    if entity.dxftype() == "POLYLINE":  # flag 16: a corner of a spline's frame, beside its own vertices
+        entity.vertices[:] = [vertex for vertex in entity.vertices if not vertex.dxf.flags & 16] or entity.vertices
     path = make_path(entity)
     if not len(path):
         return np.zeros((0, 2))
