@@ -229,6 +229,13 @@ def test_twins_may_differ_in_length() -> None:
     assert without_twins([one, DrawnLine("line", "0", np.array([[0.0, 0.0], [9.0e-6, 0.0]]), False)], 1e-6)[1] == 0
 
 
+@pytest.mark.parametrize("diamonds", [2, 4, 6, 8])
+def test_zigzags_that_meet_at_every_other_corner_are_no_twins(diamonds: int) -> None:
+    zigzag = np.column_stack([np.arange(2.0 * diamonds + 1.0), np.arange(2 * diamonds + 1) % 2])
+    one, other = (DrawnLine("line", "0", zigzag * [1.0, side], False) for side in (1.0, -1.0))
+    assert without_twins([one, other], 1e-6)[1] == 0
+
+
 def test_crossing_lines_go_straight_on() -> None:
     arms = [np.array([[0.0, 0.0], way]) for way in ([1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0])]
     chains = joined([DrawnLine(str(i), "0", arm, False) for i, arm in enumerate(arms)], 1e-6)

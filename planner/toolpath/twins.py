@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths
 
-_LOOKS = 5  # places of a line by which it is told from others
+_LOOKS = 33  # places of a line by which it is told from others: not at even shares of its length, where lattices meet
 
 
 class _Line(Protocol):
@@ -33,7 +33,7 @@ def without_twins(
     kept = []
     for line in lines:
         arc = arc_lengths(line.points)
-        at = np.linspace(0.0, arc[-1], _LOOKS)
+        at = 0.5 * arc[-1] * (1.0 - np.cos(np.linspace(0.0, np.pi, _LOOKS)))
         looks = np.column_stack([np.interp(at, arc, line.points[:, k]) for k in range(2)])
         long = round(float(arc[-1]) / (4.0 * same))  # twins may be of neighbouring lengths
         like = chain.from_iterable(seen[group(line), each] for each in (long - 1, long, long + 1))
