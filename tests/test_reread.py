@@ -13,6 +13,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import ezdxf
 import numpy as np
 import pytest
 import trimesh
@@ -33,6 +34,7 @@ from planner.toolpath.nurbs import NurbsCurve
 from planner.toolpath.substrate.patterns import pattern
 from planner.verify.checks import Findings, Judged, asked_speeds
 from planner.verify.reread.facets import facets_of
+from planner.verify.reread.lines import between_ends
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
 from planner.verify.reread.plane_curves import _nurbs, read_again
 from planner.verify.reread.points import Segments, segments_of
@@ -407,6 +409,28 @@ def test_files_that_cannot_be_read_again_say_so(tmp_path: Path, with_it: str, wh
     findings = found(problem, build_toolpath(problem))
     assert not failed(findings)
     assert why in next(check.where for check in findings.checks if check.name == DRAWN)
+
+
+def test_ends_that_are_joined_are_printed_between(tmp_path: Path) -> None:
+    document = ezdxf.new(units=4)
+    for start, end in (((0, 0), (9, 0)), ((10, 0), (20, 0)), ((20, 0), (20, 5))):
+        document.modelspace().add_line(start, end)
+    document.saveas(tmp_path / "gap.dxf")
+    path = tmp_path / "gap.yaml"
+    source = "dxf: gap.dxf, join_mm: 1.5"
+    path.write_text(BASE + PRINTS["ball"].replace("svg: small.svg, width_mm: 36", source))
+    problem = load_problem(path)
+    toolpath = build_toolpath(problem)
+    assert len(toolpath.beads) == toolpath.layers and not failed(found(problem, toolpath))
+    path.write_text(path.read_text().replace(source, "dxf: gap.dxf"))
+    assert DRAWN in failed(found(load_problem(path), toolpath))
+
+
+def test_gaps_are_between_ends_that_meet() -> None:
+    lines = [np.array(each, dtype=float) for each in ([(0, 9), (0, 0)], [(1, 0), (1, -9)], [(2, 0), (9, 0)])]
+    gaps = between_ends(lines, 1.1, 0.5)
+    assert sorted(np.sort(gap[:, 0]).tolist() for gap in gaps) == [[0, 1], [0, 2], [1, 2]]
+    assert not between_ends(lines, 0.9, 0.5) and not between_ends(lines, 1.1, 2.5)
 
 
 def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
-from planner.verify.reread.places import APART
+from planner.verify.reread.places import APART, by_number
 
 _PIECE = 16  # chords of a line in the tree of lines
 
@@ -38,3 +42,15 @@ def distances_from_lines(lines: Sequence[Array], points: Array) -> Array:
     out = np.full(len(points), np.inf)
     out[asked] = away
     return out
+
+
+def between_ends(lines: Sequence[Array], join: float, least: float) -> list[Array]:
+    """Straight lines longer than `least` [m] between ends of lines (n, 2) that lie within `join` [m] of each other, or of ends
+    that do."""
+    ends = np.concatenate([line[[0, -1]] for line in lines])
+    near = cKDTree(ends).query_pairs(join, output_type="ndarray")
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(ends), len(ends)))
+    _, meeting = connected_components(links, directed=False)
+    far = (own for _, own in by_number(meeting) if np.hypot(*np.ptp(ends[own], axis=0)) > least)
+    pairs = [ends[list(pair)] for own in far for pair in combinations(own, 2)]
+    return [pair for pair in pairs if np.hypot(*(pair[1] - pair[0])) > least]

@@ -18,6 +18,7 @@ from planner.base.geometry import angles_between
 from planner.collision.print_body import CLEARANCE, PART
 from planner.plan import Check
 from planner.problem.drawings import (
+    DxfSpec,
     LayersSpec,
     PatternSpec,
     ProjectedLayersSpec,
@@ -30,7 +31,7 @@ from planner.verify.checks import EVERYWHERE, Findings, Judged, lines_around
 from planner.verify.reread.core import core
 from planner.verify.reread.faces import faces
 from planner.verify.reread.facets import facets_of
-from planner.verify.reread.lines import distances_from_lines, dots_of_lines
+from planner.verify.reread.lines import between_ends, distances_from_lines, dots_of_lines
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of, nearest_on
 from planner.verify.reread.places import (
     APART,
@@ -183,18 +184,21 @@ def _on_the_drawing(judged: Judged, places: Places) -> Iterator[Check]:
         yield Check(DRAWN, 0.0, 0.0, "mm", True, f"not read again: {drawn.why}")
         return
     lines = [line for line in drawn if len(line) > 1]
-    if isinstance(layers, ProjectedLayersSpec) and (layers.project != "z" or any(len(line.T) == 3 for line in lines)):
-        lines, plane = _fallen(layers, part, lines, _feet_of(judged, layers, part, places))
-    else:
-        plane = _in_the_plane(judged, part, places)
+    count = len(lines)
     limit = process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     if isinstance(source, PatternSpec):  # walls that two ribbons share stand side by side
         limit += 0.5 * process.bead.width + process.corner_tolerance
     if level_of(part) is None and isinstance(layers, ProjectedLayersSpec):
         limit += _BENT * layers.height * layers.count
+    if isinstance(source, DxfSpec):  # ends that are joined
+        lines += between_ends(lines, source.join, 2.0 * limit)
+    if isinstance(layers, ProjectedLayersSpec) and (layers.project != "z" or any(len(line.T) == 3 for line in lines)):
+        lines, plane = _fallen(layers, part, lines, _feet_of(judged, layers, part, places))
+    else:
+        plane = _in_the_plane(judged, part, places)
     off = distances_from_lines(lines, plane)
     yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
-    yield _whole(judged, places, plane, lines, limit + between(judged), layers.count)
+    yield _whole(judged, places, plane, lines[:count], limit + between(judged), layers.count)
 
 
 def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
