@@ -448,6 +448,15 @@ def test_a_table_with_a_header_or_titles_is_the_same(tmp_path: Path) -> None:
         assert np.allclose(segments.start, 1e-3 * rows[:-1]), name  # type: ignore[union-attr]
 
 
+def test_waypoints_that_are_written_twice_each(tmp_path: Path) -> None:
+    head, *rows = (_folder() / "path.csv").read_text().splitlines()
+    (tmp_path / "path.csv").write_text("\n".join([head, *(row for row in rows for _ in range(2))]))
+    (tmp_path / "p.yaml").write_text(BASE + PRINTS["waypoints"])
+    problem = load_problem(tmp_path / "p.yaml")
+    findings = found(problem, build_toolpath(problem))
+    assert LEFT in {check.name for check in findings.checks} and not failed(findings)
+
+
 SQUARE = [(10, 0), (10, 10), (0, 10), (0, 0)]
 
 

@@ -20,6 +20,7 @@ from planner.problem.layers import GcodeSpec, WaypointsSpec
 from planner.verify.reread.plane_curves import NotRead, gone
 
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
+_STILL = 1e-7  # m: a waypoint that is no farther from the one before repeats it
 _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
 _ARC = 64  # chords of an arc
 _LEVEL = 5e-3  # mm by which heights are rounded
@@ -81,7 +82,7 @@ def _moves(source: GcodeSpec) -> Segments | NotRead:
 
 
 def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
-    """The steps from waypoint to waypoint."""
+    """The steps from waypoint to waypoint, without those that repeat the one before."""
     given = source.waypoints
     if isinstance(given, Path):
         stamp = given.stat()
@@ -96,6 +97,9 @@ def _waypoints(source: WaypointsSpec) -> Segments | NotRead:
     elif source.up == "x":
         x = np.column_stack([x[:, 1], x[:, 2], x[:, 0]])
     x = x + np.asarray(source.origin)
+    x = x[np.append(True, np.linalg.norm(np.diff(x, axis=0), axis=1) > _STILL)]
+    if len(x) < 2:
+        return NotRead("all waypoints of the file are one")
     step = np.linalg.norm(np.diff(x, axis=0), axis=1)
     return Segments(x[:-1], x[1:], step <= _LONG * float(np.median(step)), _BEND)
 
