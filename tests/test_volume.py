@@ -427,6 +427,21 @@ BODIES = {
     "apart": (boxes((SIDE, (0, 0, 3)), (SIDE, (30, 0, 3))), 200.0, 2),
     "one in the other": (boxes((SIDE, (0, 0, 3)), ((4, 4, 6), (0, 0, 3))), 100.0, 1),
     "a cavity": (np.concatenate([boxes((SIDE, (0, 0, 3))), boxes(((4, 4, 4), (0, 0, 3)))[:, ::-1]]), 84.0, 1),
+    "a plug wider than its cavity": (
+        np.concatenate([boxes((SIDE, (0, 0, 3)), ((5, 5, 5), (0, 0, 3))), boxes(((4, 4, 4), (0, 0, 3)))[:, ::-1]]),
+        100.0,
+        1,
+    ),
+    "a plug in one of two cavities": (
+        np.concatenate(
+            [
+                boxes((SIDE, (0, 0, 3)), ((5, 5, 5), (2, 0, 3))),
+                boxes(((4, 4, 4), (2, 0, 3)), ((2, 2, 4), (-3, 0, 3)))[:, ::-1],
+            ]
+        ),
+        96.0,
+        1,
+    ),
 }
 
 

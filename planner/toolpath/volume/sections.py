@@ -404,14 +404,22 @@ class Solid(ReadOnlyArrays):
 
 
 def _region(outlines: list[Array]) -> shapely.MultiPolygon:
-    """What outlines enclose: those of bodies that overlap together, without what runs the other way round within them."""
-    whole: shapely.Geometry = shapely.MultiPolygon()
+    """What outlines enclose: those of bodies that overlap together, without what runs the other way round within them, where
+    no further body is."""
     rings = [(polygons(shapely.make_valid(shapely.Polygon(outline))), _turns_left(outline)) for outline in outlines]
+    covered: list[shapely.Geometry] = [shapely.MultiPolygon()]  # by one body at least, by two at least, ...
     for ring, outer in sorted(rings, key=lambda each: -each[0].area):
-        if ring.area > _AREA:
-            hole = not outer and whole.intersection(ring).area > 0.5 * ring.area
-            whole = whole.difference(ring) if hole else whole.union(ring)
-    return _joined(polygons(whole))
+        if ring.area <= _AREA:
+            continue
+        if not outer and covered[0].intersection(ring).area > 0.5 * ring.area:
+            for k in reversed(range(len(covered))):
+                covered[k], ring = covered[k].difference(ring), ring.difference(covered[k])
+        else:
+            for k in range(len(covered)):
+                covered[k], ring = covered[k].union(ring), polygons(covered[k].intersection(ring))
+            if ring.area > _AREA:
+                covered.append(ring)
+    return _joined(polygons(covered[0]))
 
 
 def _joined(region: shapely.MultiPolygon) -> shapely.MultiPolygon:
