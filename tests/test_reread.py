@@ -27,11 +27,12 @@ from benchmarks.scanned_bed import dome, save
 from planner.base.errors import InputError
 from planner.collision.print_body import PrintBody, print_body
 from planner.problem import Problem, load_problem
-from planner.problem.drawings import CurveSpec, PatternSpec
+from planner.problem.drawings import CurveSpec, PatternSpec, SvgSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.nurbs import NurbsCurve
 from planner.toolpath.substrate.patterns import pattern
+from planner.toolpath.svg.outlines import read_svg
 from planner.verify.checks import Findings, Judged, asked_speeds
 from planner.verify.reread.facets import facets_of
 from planner.verify.reread.lines import between_ends
@@ -409,6 +410,25 @@ def test_files_that_cannot_be_read_again_say_so(tmp_path: Path, with_it: str, wh
     findings = found(problem, build_toolpath(problem))
     assert not failed(findings)
     assert why in next(check.where for check in findings.checks if check.name == DRAWN)
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        'path d="M0 0Q20 30 40 0S70-20 80 0S100 1e1 120 0"',
+        'path d="M0 0C10 30 30 30 40 0T80 0 120 5t20 3c5 9 9-9 12 0s4 9 9 0t9 9"',
+        'path d="M0.5 0L10.5 5L20. 7L30.5 9"',
+        'path d="M0. 0.5L10 5L20 0l1.e1 5.l3..5"',
+        "polyline points='0. 0. 10.5 5. 20. 0'",
+    ],
+)
+def test_paths_that_svgelements_would_read_otherwise(tmp_path: Path, drawn: str) -> None:
+    path = tmp_path / "a.svg"
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg"><{drawn}/></svg>')
+    again = read_again(SvgSpec.model_construct(svg=path, width=0.05))
+    assert isinstance(again, tuple)
+    ours = [each.points for each in read_svg(path, 0.05, 1e-6)]
+    assert max(far_from(list(again), ours), far_from(ours, list(again))) < 2e-5
 
 
 def test_ends_that_are_joined_are_printed_between(tmp_path: Path) -> None:

@@ -6,7 +6,9 @@ nothing here knows how the planner reads them. Lengths are metres; x to the righ
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import subprocess
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -26,6 +28,7 @@ _FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
 _SPANS = 200  # chords between the knots of a NURBS curve
 # What svgelements does not cut by, and what it draws where it stands instead of where it is used.
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
+_PATHS = re.compile(rb"""(\s(?:d|points)\s*=\s*)("[^"]*"|'[^']*')""")
 _INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
 _LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
@@ -68,19 +71,31 @@ def read_again(source: SvgSpec | DxfSpec | PatternSpec | CurvesSpec | NurbsSpec)
 @lru_cache(maxsize=4)
 def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
     """The visible outlines of a drawing by svgelements, `width` [m] wide; `changed` and `size` tell one file from another."""
-    text = path.read_bytes().lower()
+    text = path.read_bytes()
+    small = text.lower()
     for what, names in _HIDDEN.items():
-        if any(name.encode() in text for name in names):
+        if any(name.encode() in small for name in names):
             return NotRead(f"the drawing has {what}")
     from svgelements import SVG, Shape
     from svgelements import Path as Outline
 
     lines = []
-    for shape in SVG.parse(str(path), reify=True).elements():
+    for shape in SVG.parse(io.BytesIO(_as_parsed(text)), reify=True).elements():
         if not isinstance(shape, Shape) or shape.values.get("visibility") in ("hidden", "collapse"):
             continue
         lines += [points for part in abs(Outline(shape)).as_subpaths() if len(points := _flat(part)) > 1]
     return _as_wide(lines, width, np.array([1.0, -1.0]))
+
+
+def _as_parsed(text: bytes) -> bytes:
+    """A drawing in which svgelements reads paths right: it ends a path at a number like "1.", and has S go on from Q or T, and
+    T from C or S, unless a line is between them."""
+
+    def mended(found: re.Match[bytes]) -> bytes:
+        data = re.sub(rb"([0-9]\.)(?![0-9])", rb"\g<1>0", found[2])
+        return found[1] + re.sub(rb"[QqTt][^A-DF-Za-df-z]*(?=[Ss])|[CcSs][^A-DF-Za-df-z]*(?=[Tt])", rb"\g<0>l0 0", data)
+
+    return _PATHS.sub(mended, text)
 
 
 def _flat(part: Sequence[object]) -> Array:
