@@ -513,6 +513,14 @@ def test_a_spiral_rises_as_it_does(tmp_path: Path) -> None:
     assert segments.end[:, 2] * 1e3 == pytest.approx(0.3 + 0.05 * np.arange(12))
 
 
+@pytest.mark.parametrize(("radius", "chords"), [(10, 64), (3000, 1721)])
+def test_arcs_are_as_fine_as_they_are_large(tmp_path: Path, radius: int, chords: int) -> None:
+    segments = _moves(tmp_path, f"M83\nG1 X0 Y0 Z0.3\nG2 X0 Y0 I{radius} J0 E900\n")
+    assert len(segments.start) == chords
+    middle = 0.5e3 * (segments.start + segments.end)[:, :2] - [radius, 0]
+    assert radius - np.hypot(*middle.T).min() < 0.013
+
+
 @pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
 def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> None:
     segments = _moves(tmp_path, f"{said}\nG1 X0 Y0 Z0.3\nG1 X10 E1\nG1 X20 E1\nG1 X30 E0.5\nG1 X40\nG1 X50 E-1\n")

@@ -22,7 +22,7 @@ from planner.verify.reread.plane_curves import NotRead, gone
 _LONG = 10.0  # median steps, beyond which a step between waypoints lays nothing
 _STILL = 1e-7  # m: a waypoint that is no farther from the one before repeats it
 _BEND = 0.2  # of a step: an arc that turns by 90 degrees from waypoint to waypoint leaves its chord by as much
-_ARC = 64  # chords of an arc
+_ARC, _OFF = 64, 5e-3  # chords of an arc, at least, and mm that they may be off it
 _LEVEL = 5e-3  # mm by which heights are rounded
 _SEMICOLONS = 5  # in a line, from which on they separate values
 _UNIT = r"(?:[ _]*[(\[]?\s*m{1,2}\s*[)\]]?)?"
@@ -240,8 +240,10 @@ def _arc(at: Array, there: Array, words: dict[str, float], unit: float, clockwis
     begin, end = (np.arctan2(*(p[:2] - centre)[::-1]) for p in (at, there))
     turn = (end - begin) % (2.0 * np.pi) or 2.0 * np.pi
     turn = turn - 2.0 * np.pi if clockwise and turn < 2.0 * np.pi else (-turn if clockwise else turn)
-    share = np.linspace(0.0, 1.0, _ARC + 1)
-    radius = np.hypot(*(at[:2] - centre)) + share * (np.hypot(*(there[:2] - centre)) - np.hypot(*(at[:2] - centre)))
+    size = float(np.hypot(*(at[:2] - centre)))
+    chords = max(_ARC, int(np.ceil(abs(turn) * np.sqrt(size / (8.0 * _OFF)))))
+    share = np.linspace(0.0, 1.0, chords + 1)
+    radius = size + share * (np.hypot(*(there[:2] - centre)) - size)
     angle = begin + share * turn
     places = np.column_stack(
         [centre[0] + radius * np.cos(angle), centre[1] + radius * np.sin(angle), at[2] + share * (there - at)[2]]
