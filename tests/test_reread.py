@@ -521,6 +521,15 @@ def test_arcs_are_as_fine_as_they_are_large(tmp_path: Path, radius: int, chords:
     assert radius - np.hypot(*middle.T).min() < 0.013
 
 
+def test_g92_in_the_middle_of_a_print_moves_nothing(tmp_path: Path) -> None:
+    """All axes are 0 where it says none; homing ends what it said."""
+    lines = "M82;G92 X5 Y5 Z1 E0;G1 X6 E1;G92 X0;G1 X1 E2;G92;G1 X1 Y1 E1;G28 X;G1 X2;G1 Y0 E3"
+    segments = _moves(tmp_path, lines.replace(";", "\n"))
+    assert segments.start[:, :2] * 1e3 == pytest.approx(np.array([[5, 5], [6, 5], [7, 5], [2, 6]]))
+    assert segments.end[:, :2] * 1e3 == pytest.approx(np.array([[6, 5], [7, 5], [8, 6], [2, 5]]))
+    assert (segments.end[:, 2] * 1e3).tolist() == pytest.approx([1, 1, 1, 1])
+
+
 @pytest.mark.parametrize("said", ["M83\nG90", "M83\nG91\nG90", "G91\nM83\nG90"])
 def test_e_counts_as_said_whatever_the_axes_do(tmp_path: Path, said: str) -> None:
     segments = _moves(tmp_path, f"{said}\nG1 X0 Y0 Z0.3\nG1 X10 E1\nG1 X20 E1\nG1 X30 E0.5\nG1 X40\nG1 X50 E-1\n")

@@ -156,6 +156,8 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
     if not re.search(r"^\s*M8[23]\b", text, re.MULTILINE):
         return NotRead("the file does not say whether E is relative")
     at, e, unit = np.zeros(3), 0.0, 1.0
+    zero = np.zeros(3)  # where absolute moves count from
+    homed = np.zeros(3, dtype=bool)  # axes whose place is not known since
     absolute, name = True, ""
     said: bool | None = None  # whether E is absolute, as M82 or M83 says; before, it is as the axes are
     starts: list[Array] = []
@@ -173,19 +175,28 @@ def _gcode(path: Path, changed: int, size: int) -> tuple[Array, Array, tuple[str
         elif match := _HEIGHT.match(line):
             height = float(match[1]) or usual
         code, words = _words(line)
+        given = np.array([axis in words for axis in "XYZ"])
+        target = np.array([words.get(axis, 0.0) * unit for axis in "XYZ"])
         if code in ("G20", "G21"):
             unit = 25.4 if code == "G20" else 1.0
         elif code in ("G90", "G91"):
             absolute = code == "G90"
         elif code in ("M82", "M83"):
             said = code == "M82"
+        elif code in ("G28", "G161", "G162"):
+            named = np.array([axis in line.partition(";")[0].upper() for axis in "XYZ"])
+            homed |= named | ~named.any()
+            zero[homed] = 0.0
         elif code == "G92":
-            at = np.array([words.get(axis, now / unit) * unit for axis, now in zip("XYZ", at, strict=True)])
-            e = words.get("E", e)
+            given = given | (len(words) == 1)  # the code alone: all axes
+            stays = given & ~homed & bool(starts)  # what is printed already
+            zero = np.where(stays, at - target, zero)
+            at = np.where(given & ~stays, target + zero, at)
+            e = words.get("E", 0.0 if len(words) == 1 else e)
+            homed &= ~given
         elif code in ("G0", "G1", "G2", "G3"):
-            given = [axis in words for axis in "XYZ"]
-            target = np.array([words.get(axis, 0.0) * unit for axis in "XYZ"])
-            there = np.where(given, target if absolute else at + target, at)
+            there = np.where(given, target + (zero if absolute else at), at)
+            homed &= ~given
             from_zero = absolute if said is None else said
             fed = words.get("E", e if from_zero else 0.0) - (e if from_zero else 0.0)
             e = e + fed
