@@ -104,6 +104,16 @@ def test_lines_are_as_wide_as_the_first_bead_usually_is() -> None:
     assert AROUND not in failed(found(problem, toolpath))
 
 
+def test_lines_keep_off_beads_of_other_widths() -> None:
+    problem = print_with("process.skirt={loops: 2}")[0]
+    first, *others = print_with()[1].beads
+    wide = [replace(bead, width=bead.width * np.linspace(1.5, 2.5, len(bead.width))) for bead in others]
+    assert problem.process.skirt is not None
+    toolpath = with_skirt(problem, replace(print_with()[1], beads=(first, *wide)), problem.process.skirt)
+    findings = found(problem, toolpath)
+    assert AROUND in {check.name for check in findings.checks} and AROUND not in failed(findings)
+
+
 @pytest.mark.slow
 def test_the_print_within_is_the_one_without() -> None:
     alone, toolpath = print_with()[1], print_with("process.skirt={loops: 2}")[1]

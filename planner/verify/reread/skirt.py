@@ -29,8 +29,12 @@ def skirt(judged: Judged, places: Places, own: Flags) -> list[Check]:
         return []
     lines, layer = places.some(own), places.some(there)
     width = float(np.median(judged.toolpath.beads[int(layer.bead[0])].width))
-    away = cKDTree(layer.tip).query(lines.tip)[0] if own.any() else np.zeros(0)
-    step = spec.gap + width  # from the layer's middle line to the first line's
+    covers = 0.5 * np.array([bead.width.max() for bead in judged.toolpath.beads])[layer.bead]
+    away = np.full(len(lines.tip), np.inf)  # from what beads cover, and half a width of a line
+    for reach in np.unique(covers) if own.any() else ():
+        nearest = cKDTree(layer.tip[covers == reach]).query(lines.tip)[0]
+        away = np.minimum(away, nearest + (0.5 * width - reach))
+    step = spec.gap + width  # to the first line
     number = np.clip(np.rint((away - step) / width), 0, spec.loops - 1)
     missing = spec.loops - len(np.unique(number))
     if missing:
