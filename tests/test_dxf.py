@@ -24,7 +24,7 @@ from planner.toolpath.dxf.chains import DrawnLine, joined
 from planner.toolpath.dxf.reader import INSUNITS, DxfRead, read_drawing, read_dxf
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.twins import without_twins
-from planner.verify.reread.plane_curves import read_again
+from planner.verify.reread.plane_curves import _INSUNITS, read_again
 
 FLAT = 1e-6  # m
 MM = 4  # $INSUNITS
@@ -173,13 +173,17 @@ def test_closed_splines_end_where_they_begin(tmp_path: Path, weights: tuple[floa
     assert np.ptp(again, axis=0) * 1e3 == pytest.approx(np.ptp(exact, axis=0), abs=0.01)
 
 
-@pytest.mark.parametrize("unit", [1, 4, 5, 6])
+@pytest.mark.parametrize("unit", [1, 4, 5, 6, 21])
 def test_units_of_the_header_and_of_the_key(unit: int, tmp_path: Path) -> None:
     path = saved(tmp_path, lambda m: m.add_line((0, 0), (3, 4)), unit)
     assert sizes(read(path)) == pytest.approx([5.0 * INSUNITS[unit]])
     assert sizes(read(path, unit="cm")) == pytest.approx([50.0])
     assert sizes(read(path, width=0.03)) == pytest.approx([50.0])
     assert not read(path).notes
+
+
+def test_units_are_those_that_are_read_again() -> None:
+    assert pytest.approx(INSUNITS) == _INSUNITS
 
 
 def test_a_drawing_without_a_unit_is_told(tmp_path: Path) -> None:

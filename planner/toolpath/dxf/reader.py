@@ -46,6 +46,7 @@ LINES = ("LINE", "ARC", "CIRCLE", "ELLIPSE", "LWPOLYLINE", "POLYLINE", "SPLINE",
 # $INSUNITS of the header, by ezdxf's numbers: millimetres of one
 INSUNITS = {1: 25.4, 2: 304.8, 3: 1609344.0, 4: 1.0, 5: 10.0, 6: 1e3, 7: 1e6, 8: 2.54e-5, 9: 0.0254, 10: 914.4}
 INSUNITS |= {11: 1e-7, 12: 1e-6, 13: 1e-3, 14: 100.0, 15: 1e4, 16: 1e5}
+INSUNITS |= {21: 1200e3 / 3937.0, 22: 100e3 / 3937.0, 23: 3600e3 / 3937.0, 24: 6336e6 / 3937.0}  # of US surveys
 
 
 class DxfRead(NamedTuple):

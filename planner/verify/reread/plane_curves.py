@@ -29,7 +29,9 @@ _SPANS = 200  # chords between the knots of a NURBS curve
 # What svgelements does not cut by, and what it draws where it stands instead of where it is used.
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _PATHS = re.compile(rb"""(\s(?:d|points)\s*=\s*)("[^"]*"|'[^']*')""")
-_INSUNITS = {1: 25.4, 2: 304.8, 4: 1.0, 5: 10.0, 6: 1000.0, 8: 25.4e-6, 9: 0.0254, 10: 914.4, 13: 1e-3, 14: 100.0}  # mm
+_INSUNITS = {1: 25.4, 2: 304.8, 3: 1609344.0, 4: 1.0, 5: 10.0, 6: 1e3, 7: 1e6, 8: 25.4e-6, 9: 0.0254, 10: 914.4}  # mm
+_INSUNITS |= {11: 1e-7, 12: 1e-6, 13: 1e-3, 14: 100.0, 15: 1e4, 16: 1e5}
+_INSUNITS |= {21: 304.8006096, 22: 25.4000508, 23: 914.4018288, 24: 1609347.2187}  # US survey foot, inch, yard, mile
 _LINES = {"LINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "LWPOLYLINE", "POLYLINE", "HELIX"}
 _UNITS = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}  # mm
 _LONGEST = 300  # s that Open CASCADE may take
