@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -32,6 +33,7 @@ from planner.feedback.identify_extruder import (
 )
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import without
+from planner.toolpath.build import build_toolpath
 
 Array = NDArray[np.float64]
 
@@ -122,6 +124,21 @@ def test_a_share_of_the_flow_is_written_as_the_filament_that_is_fed(tmp_path: Pa
     found = fit_flow(read_table(weighed(tmp_path, 0.1, 0.81), line), line, PLA)
     values = process_values(found, line, problem)
     assert values["process.filament_diameter_mm"] == pytest.approx(1.75 * 0.9, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("said", "counted"),
+    [("", 1.75), ("; filament_diameter = 2.85\n", None), (";FLAVOR:UltiGCode\n", None)],
+    ids=["nothing", "a diameter", "a volume"],
+)
+def test_what_e_of_a_file_counts_is_written_where_the_file_does_not_say_it(
+    tmp_path: Path, said: str, counted: float | None
+) -> None:
+    file, line = tmp_path / "box.gcode", asked()[1]
+    file.write_text(said + (PROBLEMS / "planar_box.gcode").read_text("utf-8"), encoding="utf-8")
+    found = fit_flow(read_table(weighed(tmp_path, 0.1, 0.9), line), line, PLA)
+    values = process_values(found, line, load_problem("planar_gcode", [f"layers.source.gcode={file}"]))
+    assert values.get("layers.source.filament_diameter_mm") == counted
 
 
 # ---- tables -------------------------------------------------------------------------------------------------------
@@ -303,6 +320,23 @@ def test_the_command_reads_a_table(
     assert main([*read, "--write", "mine.yaml"]) == EXIT_INPUT and "is there already" in capsys.readouterr().err
     assert main(["extruder", "raed"]) == EXIT_INPUT and "did you mean extruder read" in capsys.readouterr().err
     assert main(["extruder", "read", "line.csv", "cylinder_logo"]) == EXIT_INPUT
+
+
+def test_a_measured_flow_leaves_the_beads_of_a_file_as_they_are(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """E of a file that names no filament counts that of the process, which the extruder no longer feeds."""
+    monkeypatch.chdir(tmp_path)
+    weighed(tmp_path, 0.12, 0.9, 0.02e-6)
+    Path("planar_gcode_line_asked.json").write_text(line_text(replace(asked()[1], problem="planar_gcode")))
+    read = ["extruder", "read", "line.csv", "planar_gcode", "--density", "1.24"]
+    assert main(read) == EXIT_VERIFIED
+    assert "layers:\n  source:\n    filament_diameter_mm: 1.75 " in capsys.readouterr().out
+    assert main([*read, "--write", "mine.yaml"]) == EXIT_VERIFIED
+    old, new = (load_problem(name, ["layers.count=1"]) for name in ("planar_gcode", "mine.yaml"))
+    assert new.process.filament_diameter == pytest.approx(1.75e-3 * 0.9**0.5, rel=5e-3)
+    for was, now in zip(build_toolpath(old).beads, build_toolpath(new).beads, strict=True):
+        np.testing.assert_array_equal(now.width, was.width)
 
 
 def test_a_table_that_tells_nothing_writes_nothing(

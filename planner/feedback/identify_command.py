@@ -515,6 +515,8 @@ def _section(values: dict[str, Value]) -> str:
     for field, value in values.items():
         if field == "process.filament_diameter_mm":
             out.append(f"  filament_diameter_mm: {value:g}   # as the extruder feeds it")
+        elif field == "layers.source.filament_diameter_mm":
+            out += ["layers:", "  source:", f"    filament_diameter_mm: {value:g}   # as E of the file counts it"]
         else:
             lag = value["lag_s"] if isinstance(value, dict) else value
             out.append(f"  extruder: {{lag_s: {lag:g}}}")

@@ -21,7 +21,9 @@ from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import InputError, nearest_name
 from planner.base.tables import rows_of, separator_of, split_row
 from planner.problem import Problem
+from planner.problem.layers import GcodeLayersSpec
 from planner.problem.rewrite import Value, changed_text, without
+from planner.toolpath.gcode.reader import read_gcode
 
 BY = "identify"  # whose files a folder of results lists
 FORMAT = "beadwise extruder line 1"
@@ -446,7 +448,8 @@ def flow_lines(found: FoundFlow) -> list[str]:
 def process_values(found: FoundFlow, line: FlowLine, problem: Problem) -> dict[str, Value]:
     """Fields of the problem that are measured: the lag, and the filament as the extruder feeds it.
 
-    A motor that lays a share f of what is asked feeds as from a filament of diameter d √f.
+    A motor that lays a share f of what is asked feeds as from a filament of diameter d √f. What E of a slicer's file counts
+    stays what it was.
     """
     out: dict[str, Value] = {}
     if found.lag_told:
@@ -455,4 +458,16 @@ def process_values(found: FoundFlow, line: FlowLine, problem: Problem) -> dict[s
         out |= {"process.extruder.lag_s": lag} if known else {"process.extruder": {"lag_s": lag}}
     if math.isfinite(found.flow):
         out["process.filament_diameter_mm"] = float(f"{1e3 * line.filament * math.sqrt(found.flow):.5g}")
+        out |= _counted_by_e(problem)
     return out
+
+
+def _counted_by_e(problem: Problem) -> dict[str, Value]:
+    """The filament that E of a slicer's file counts, where that is the process's and nothing else says it."""
+    layers, process = problem.layers, problem.process
+    if not isinstance(layers, GcodeLayersSpec) or layers.source.filament_diameter is not None:
+        return {}
+    read = read_gcode(layers.source.gcode, process.chord_tolerance, partial(problem.error, "layers.source.gcode"))
+    if read.volume or read.filament:
+        return {}
+    return {"layers.source.filament_diameter_mm": float(f"{1e3 * process.filament_diameter:.9g}")}
