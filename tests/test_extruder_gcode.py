@@ -6,12 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 from gcodeparser import parse_gcode_lines
 from solved import solve_alone
 
 from planner.base.errors import InputError
 from planner.export.extruder import FILE, differences, gcode, read_gcode
+from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import ProcessSpec
@@ -151,6 +153,48 @@ def test_the_fan_follows_the_layers() -> None:
     begins, before = t.t[(t.bead == 2).argmax()], t.t[(t.bead == 1).nonzero()[0][-1]]
     assert before < said[0][0] < begins and begins - said[0][0] < 0.02
     assert said[1][0] == pytest.approx(t.t[-1], abs=2e-3)
+
+
+def between_layers(plan: Plan) -> tuple[float, float]:
+    """When the last bead of the first layer has ended, and the first one of the second begins [s]."""
+    t = plan.trajectory
+    last, first = int(np.flatnonzero(t.bead == 1)[-1]), int(np.flatnonzero(t.bead == 2)[0])
+    return float(t.t[last]) + 0.5 * t.dt, float(t.t[first]) - 0.5 * t.dt
+
+
+def fed_with(plan: Plan, events: tuple[Event, ...], sync: str) -> Plan:
+    """A plan whose filament is moved by these events as well, and ahead by the lag of its process."""
+    t, process = plan.trajectory, plan.problem.process
+    fed = feed(t.t, t.bead, t.extruded, t.flow, events, filament_area(process), process.extruder.lag)
+    return with_board(replace(plan, trajectory=replace(t, feed=fed, events=events)), sync=sync)
+
+
+@pytest.mark.parametrize("sync", ["free", "signal"])
+@pytest.mark.parametrize("retracted", [0.0, 0.6, 1.0])
+def test_the_fan_is_switched_before_filament_that_moves_until_the_layer_begins(sync: str, retracted: float) -> None:
+    """Retract and prime share the way between two layers, so that one begins where the bead or the other ends."""
+    plan = with_process(make_plan(beads=5), fan={})
+    begin, end = between_layers(plan)
+    middle = begin + retracted * (end - begin)
+    retract, prime = Event("retract", 1, begin, middle - begin, -2e-3), Event("prime", 2, middle, end - middle, 2e-3)
+    plan = fed_with(plan, tuple(event for event in (retract, prime) if event.duration > 0.0), sync)
+    lines = gcode(plan).splitlines()
+    assert gcode_differences(plan, "\n".join(lines)) == []
+    moved = next(line for line in lines[lines.index("M106 P0 S255") :] if line.startswith("G1"))
+    assert float(moved.split()[1][1:]) == pytest.approx(-2.0 if retracted else 2.0, abs=0.03)
+
+
+@pytest.mark.parametrize("sync", ["free", "signal"])
+def test_the_fan_is_switched_before_pressure_is_built_up(sync: str) -> None:
+    """That takes some hundredths of a second, however long the lag is."""
+    plan = with_process(make_plan(beads=5, dip=False), fan={}, extruder={"lag_s": 1.5})
+    plan = fed_with(plan, (), sync)
+    text = gcode(plan)
+    assert gcode_differences(plan, text) == []
+    begin, end = between_layers(plan)
+    if sync == "free":
+        (at,) = [at for at, line in times_of(text) if line == "M106 P0 S255"]
+        assert begin < end - 0.05 < at < end - 0.02
 
 
 @pytest.mark.parametrize(

@@ -109,19 +109,35 @@ def _is_fan(plan: Plan, line: str) -> bool:
 
 
 def _of_fan(fan: FanSpec, t: Trajectory, lag: float) -> list[Order]:
-    """On or off before beads whose layer is, or is not, cooled, before filament moves for them; off at the end."""
-    first = np.flatnonzero((t.bead >= 0) & (np.diff(t.bead, prepend=-1) != 0))
+    """On or off before beads whose layer is, or is not, cooled, before filament moves for them; off at the end.
+
+    Not before the bead before has ended, and not while a prime, a retract or a purge moves filament, which is one line:
+    then before that line.
+    """
+    laid, begin = t.bead >= 0, float(t.t[0])
+    first = np.flatnonzero(laid & (np.diff(t.bead, prepend=-1) != 0))
+    last = np.flatnonzero(laid & (np.diff(t.bead, append=-1) != 0))
+    over = np.append(begin, t.t[np.minimum(last[:-1] + 1, first[1:] - 1)])
     wanted = t.layer[first] + 1 >= fan.from_layer
     on, off = f"M106 P{fan.number} S{max(1, round(FULL * fan.speed))}", f"M106 P{fan.number} S0"
     primes = {event.bead: event.start for event in t.events if event.kind == "prime"}
+    pushing = [t.t[_samples_of(t, event)].tolist() for event in t.events if event.amount != 0.0]
     found = []
     for k in np.flatnonzero(np.diff(wanted.astype(np.int8), prepend=0)).tolist():
-        moves = float(t.t[first[k]]) - lag
-        start = min(moves, primes.get(int(t.bead[first[k]]), moves)) - AHEAD * t.dt - float(t.t[0])
-        found.append(Order(max(0.0, start), f"fan {'on' if wanted[k] else 'off'}", (on if wanted[k] else off,)))
+        moves = float(t.t[first[k]]) - min(lag, NEAR)
+        start = min(moves, primes.get(int(t.bead[first[k]]), moves)) - AHEAD * t.dt
+        start = max(start, float(over[k]))
+        start = next((since for since, until in pushing if since < start < until), start)
+        found.append(Order(start - begin, f"fan {'on' if wanted[k] else 'off'}", (on if wanted[k] else off,)))
     if len(first) and wanted[-1]:
-        found.append(Order(float(t.t[-1] - t.t[0]), "fan off", (off,)))
+        found.append(Order(float(t.t[-1]) - begin, "fan off", (off,)))
     return found
+
+
+def _samples_of(t: Trajectory, event: Event) -> list[int]:
+    """The samples between which what an event moves is one line."""
+    first = int(np.searchsorted(t.t, event.start, side="right")) - 1
+    return [first, min(int(np.searchsorted(t.t, event.start + event.duration)), len(t) - 1)]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -449,8 +465,7 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
     label = np.where(np.diff(t.extruded) > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), NOTHING)
     for k, event in enumerate(t.events):
         if event.amount != 0.0:  # which moves more filament than the part of a bead in the same sample
-            since = int(np.searchsorted(t.t, event.start, side="right")) - 1
-            label[since : np.searchsorted(t.t, event.start + event.duration)] = FIRST_EVENT - k
+            label[slice(*_samples_of(t, event))] = FIRST_EVENT - k
     edge = np.flatnonzero(np.diff(label)) + 1
     starts = np.concatenate([[0], edge])
     ends = np.concatenate([edge, [len(moved)]])
