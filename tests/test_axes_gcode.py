@@ -32,8 +32,9 @@ from planner.export.support import unsupported_in_axes
 from planner.export.write import write_robot_code
 from planner.plan import Plan
 from planner.problem import load_problem
+from planner.problem.process import StartSpec
 from planner.problem.settings import MachineSpec
-from tests.export_fixtures import GOLDEN, axes_texts, make_plan
+from tests.export_fixtures import GOLDEN, axes_texts, make_plan, written_with
 from tests.solved import small_problem
 
 Array = NDArray[np.float64]
@@ -412,6 +413,15 @@ def test_others_read_every_line(name: str) -> None:
     told = [each.params[letter] for each in parse_gcode_lines(text) if letter in each.params]
     total = sum(told) if letter == "E" else told[-1]
     assert total == pytest.approx(cap().trajectory.feed[-1] * 1e3, abs=1e-3)
+
+
+@pytest.mark.parametrize(("name", "noted"), [("fork", True), ("robot", False)])
+def test_the_header_says_what_is_purged_above_the_first_bead(name: str, noted: bool) -> None:
+    """A robot purges at home."""
+    plan = written_with(make_plan(beads=1, length=0.008, dip=False), machine=spec(name))
+    process = plan.problem.process.model_copy(update={"start": StartSpec(purge_mm=30)})
+    text = axes_gcode(replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"process": process})))
+    assert ("; Note: 30 mm of filament are purged where the machine waits at first" in text) == noted
 
 
 def test_modes_come_first_and_a_program_says_what_it_is_for() -> None:

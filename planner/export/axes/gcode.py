@@ -155,6 +155,12 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         what = "the tip in the part as it lies at zero angles" if spec.tcp else "on the machine"
         texts += [f"X Y Z are {what}. How far it goes:", f"  {', '.join(reach)}", _fastest(motion)]
         texts += ["The robot's clearances hold for its own head and ways: look at those of this machine."]
+        purge = plan.problem.process.start.purge * 1e3
+        if purge > 0.0:
+            texts += [
+                f"Note: {purge:g} mm of filament are purged where the machine waits at first, right above the first bead.",
+                "  Robots do that at home: leave out process.start.purge_mm, and purge by hand or by a macro.",
+            ]
     else:
         home = ", ".join(f"{v:.4f}" for v in np.degrees(plan.trajectory.q[0]))
         texts += [f"Joints at the start, from which the controller's iteration follows: {home} deg"]
