@@ -24,7 +24,7 @@ from tree_sitter import Parser
 from planner.base.errors import InputError
 from planner.cell.cell import build_cell
 from planner.export.axes.flavours import feed_length
-from planner.export.axes.gcode import axes_gcode, differences, file_name, read_axes
+from planner.export.axes.gcode import axes_gcode, differences, feed_word, file_name, read_axes
 from planner.export.axes.machine import FROM_ZERO, JUMP, FiveAxes, Machine, PoseMachine, chosen, machine_of, missing
 from planner.export.fit import from_matrix
 from planner.export.languages import check_languages
@@ -585,6 +585,14 @@ def test_damage_is_an_input_error_or_read_as_it_stands(data: st.DataObject) -> N
         for values in (program.straight, program.turning, program.filament, program.time):
             assert np.isfinite(values).all() and len(values) == len(program.time)
         assert (np.diff(program.time) >= 0.0).all()
+
+
+@pytest.mark.parametrize("lasts", [0.02, 59.9, 161.7, 900.0])
+def test_a_line_lasts_as_long_as_it_is_to(lasts: float) -> None:
+    text = (GOLDEN / "two_beads.gcode").read_text(encoding="utf-8")
+    text = text.replace("G93\n", f"G93\nG1 X1.0000 {feed_word(60.0 / lasts)}\n", 1)
+    program = read_axes(text, spec("trunnion"), ("X", "Y", "Z", "A", "C"))
+    assert program.time[1] == pytest.approx(lasts, abs=3.1e-3)
 
 
 def test_turning_beyond_a_range_is_found() -> None:
