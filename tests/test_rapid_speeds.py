@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
+import numpy as np
 import pytest
 
 from planner.export.languages import LANGUAGES
+from planner.export.moves import plan_moves
+from planner.export.rapid.declarations import speed_numbers, speeds
 from planner.export.rapid.writer import rapid_files
 from planner.plan import Plan
 from tests.export_fixtures import make_plan, socket_plan
@@ -78,6 +82,15 @@ def test_speeds_that_were_changed_are_found(column: int, factor: float, which: i
     pattern = USUAL.replace(r"vel\w+", used[which])
     found = changed(pattern, 0, number(column, lambda v: v * factor))
     assert any(difference.startswith(SPEEDS[column]) for difference in found), found
+
+
+def test_a_slow_bead_s_speed_keeps_the_digits_that_its_time_needs() -> None:
+    """At 5.862 mm/s a bead of 400 s would end 34 ms off its time."""
+    moves = plan_moves(plan())
+    numbers = speed_numbers(plan(), replace(moves, speed=np.where(moves.laid, 5.8625e-3, moves.speed)))
+    lines, names = speeds(numbers)
+    assert names[1 + int(np.argmax(moves.laid))] == "vel5_8625"
+    assert any("vel5_8625:=[5.8625," in line for line in lines)
 
 
 def test_the_way_to_the_start_has_its_speed() -> None:
