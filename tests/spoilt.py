@@ -56,7 +56,7 @@ def with_joints(plan: Plan, trajectory: Trajectory, q: Array) -> Trajectory:
     return replace(trajectory, q=q, tip=tip, axis=T[:, :3, 2], quat=quat, speed=speed)
 
 
-def with_process(problem: Problem, **changes: float) -> Problem:
+def with_process(problem: Problem, **changes: Any) -> Problem:
     return problem.model_copy(update={"process": problem.process.model_copy(update=changes)})
 
 

@@ -79,6 +79,7 @@ CHECKS = {
     "extrusion balance",
     "flow per millimetre",
     "filament fed",
+    "primes, retracts and cuts as asked",
     "print pressed by the nozzle",
     "beads as wide and high as asked",
     "layers on the part",

@@ -7,25 +7,31 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from solved import body_of, small_plan, solve_alone, write_small
+from spoilt import paused, with_process
 
 import planner.planning.pipeline
 from planner.export.extruder import gcode
 from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
 from planner.problem import Problem, load_problem
+from planner.problem.process import FibreSpec, FilamentMoveSpec, StartSpec
 from planner.toolpath.bead import Toolpath
+from planner.verify.around_bead import around_beads
+from planner.verify.checks import samples_of
 from planner.verify.verdict import Report, verify
 from tests.export_fixtures import with_board
 
 Array = NDArray[np.float64]
 MM = 1e-3
 PACE = {"material keeps pace", "flow per millimetre"}
+ASKED = "primes, retracts and cuts as asked"
 
 
 @cache
@@ -180,8 +186,15 @@ def test_filament_that_moves_in_travel(away: float) -> None:
 
 @cache
 def with_moves() -> Plan:
-    """The small print with a purge at the start, primes and retracts, as events and in its feed."""
+    """The small print with heating and a purge at the start, primes and retracts: in its problem, its events and its feed."""
     plan = small_plan()
+    changes = {
+        "start": StartSpec(heat_wait_s=0.1, purge_mm=5.0, purge_speed_mm_s=5.0 / 0.3),
+        "prime": FilamentMoveSpec(length_mm=1.2, speed_mm_s=1.2 / 0.061),
+        "retract": FilamentMoveSpec(length_mm=1.0, speed_mm_s=1.0 / 0.043),
+    }
+    at_home = paused(plan, 0, np.zeros((100, plan.trajectory.q.shape[1])))
+    plan = replace(plan, problem=with_process(plan.problem, **changes), trajectory=at_home)
     t = plan.trajectory
     events = [Event("heat", -1, 0.0, 0.1, 0.0), Event("purge", -1, 0.1, 0.3, 5.0 * MM)]
     for bead in range(3):
@@ -212,7 +225,80 @@ def test_an_event_that_is_not_in_the_feed(which: int) -> None:
     late = replace(events[which], start=events[which].start + 0.02)
     assert "filament fed" in failed(plan, events=(*events[:which], late, *events[which + 1 :]))
     more = replace(events[which], amount=1.01 * events[which].amount)
-    assert failed(plan, events=(*events[:which], more, *events[which + 1 :])) == {"filament fed"}
+    assert failed(plan, events=(*events[:which], more, *events[which + 1 :])) == {"filament fed", ASKED}
+
+
+def judged(plan: Plan) -> Any:
+    """What the check of events looks at."""
+    t = plan.trajectory
+    return SimpleNamespace(**vars(plan), samples=samples_of(t, len(plan.toolpath.beads)))
+
+
+def otherwise(plan: Plan) -> str:
+    """Where something is not as asked, empty if all is; the filament is fed as the events say."""
+    (check,) = around_beads(judged(with_events(plan, plan.trajectory.events))).checks
+    assert check.name == ASKED and check.ok == (check.worst == 0.0)
+    return "" if check.ok else check.where
+
+
+def exchanged(which: int, **changes: Any) -> Callable[[Plan], Plan]:
+    """The print with another event in place of one: without it, if nothing is said of it."""
+
+    def change(plan: Plan) -> Plan:
+        events = list(plan.trajectory.events)
+        events[which : which + 1] = [replace(events[which], **changes)] if changes else []
+        return replace(plan, trajectory=replace(plan.trajectory, events=tuple(events)))
+
+    return change
+
+
+def with_one_more(*fields: Any) -> Callable[[Plan], Plan]:
+    def change(plan: Plan) -> Plan:
+        t = plan.trajectory
+        return replace(plan, trajectory=replace(t, events=(*t.events, Event(*fields))))
+
+    return change
+
+
+def without_rest(plan: Plan) -> Plan:
+    """The robot begins to move while the nozzle heats up."""
+    q = plan.trajectory.q.copy()
+    q[10:20, 5] += 1e-6 * np.arange(10)
+    return replace(plan, trajectory=replace(plan.trajectory, q=q))
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        (lambda plan: plan, ""),
+        (exchanged(5), "retract of bead 1"),
+        (exchanged(4), "prime of bead 1"),
+        (exchanged(5, amount=-20.0 * MM), "retract of bead 1"),
+        (exchanged(5, amount=np.nan), "retract of bead 1"),
+        (exchanged(4, duration=0.05), "prime of bead 1"),
+        (exchanged(4, bead=0), "prime of bead 0"),
+        (exchanged(0), "heat at the start"),
+        (exchanged(1, amount=2.0 * MM), "purge at the start"),
+        (exchanged(1, start=0.05), "purge at the start"),
+        (with_one_more("purge", 2, 9.0, 0.1, 5.0 * MM), "purge of bead 2"),
+        (with_one_more("push", 2, 9.0, 0.1, 5.0 * MM), "push of bead 2"),
+        (without_rest, "rest at the start"),
+    ],
+)
+def test_what_the_extruder_does_around_beads_is_what_is_asked(change: Callable[[Plan], Plan], where: str) -> None:
+    assert otherwise(change(with_moves())) == where
+
+
+@pytest.mark.parametrize(("late", "where"), [(-0.02, "retract of bead 1"), (0.004, ""), (0.02, "retract of bead 1")])
+def test_a_retract_begins_where_its_bead_ends(late: float, where: str) -> None:
+    event = with_moves().trajectory.events[5]
+    assert otherwise(exchanged(5, start=event.start + late)(with_moves())) == where
+
+
+def test_what_a_problem_does_not_ask_for_is_found() -> None:
+    plan = replace(with_moves(), problem=small_plan().problem)
+    (check,) = around_beads(judged(plan)).checks
+    assert (check.worst, check.ok) == (8.0, False)
 
 
 @pytest.mark.slow
@@ -228,12 +314,15 @@ def test_an_event_of_no_number_never_passes() -> None:
 def with_cuts() -> Plan:
     """Fibre that is cut 8 mm before the end of each bead, without stopping for it, and fed forward before the next."""
     plan = solved("process.bead.section=fibre")
+    fibre = FibreSpec(cut_length_mm=8.0, cut_wait_s=0.0)
+    fed = FilamentMoveSpec(speed_mm_s=8.0 / 0.09)
+    plan = replace(plan, problem=with_process(plan.problem, fibre=fibre, prime=fed))
     t = plan.trajectory
     events = []
     for bead, line in enumerate(plan.toolpath.beads):
         at = samples(plan, bead)
         cut = float(np.interp(line.length - 8.0 * MM, t.s[at], t.t[at]))
-        events += [Event("prime", bead, t.t[at[0]] - 0.1, 0.09, 8.0 * MM), Event("cut", bead, cut, 0.0, 0.0)]
+        events += [Event("prime", bead, t.t[at[0]] - 0.092, 0.09, 8.0 * MM), Event("cut", bead, cut, 0.0, 0.0)]
     return with_events(plan, tuple(events))
 
 
@@ -246,6 +335,32 @@ def test_fibre_behind_a_cut_is_drawn_and_not_fed() -> None:
     t = plan.trajectory
     behind = (t.bead == 1) & (t.s > plan.toolpath.beads[1].length - 7.5 * MM)
     assert np.ptp(t.feed[behind]) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("changes", "where"),
+    [
+        ({"start": 0.02}, "cut of bead 1"),
+        ({"start": -0.02}, "cut of bead 1"),
+        ({"start": 0.0}, ""),
+        ({"duration": 0.5}, "cut of bead 1"),
+    ],
+)
+def test_fibre_is_cut_where_it_has_to_be(changes: dict[str, float], where: str) -> None:
+    plan = with_cuts()
+    own = plan.trajectory.events[3]
+    assert otherwise(exchanged(3, **{name: getattr(own, name) + by for name, by in changes.items()})(plan)) == where
+
+
+def test_the_nozzle_rests_at_a_cut() -> None:
+    """For as long as the problem asks; the motion passes there."""
+    plan = with_cuts()
+    fibre = plan.problem.process.fibre
+    assert fibre is not None
+    asked = with_process(plan.problem, fibre=fibre.model_copy(update={"cut_wait": 0.05}))
+    events = tuple(replace(each, duration=0.05) if each.kind == "cut" else each for each in plan.trajectory.events)
+    resting = replace(plan, problem=asked, trajectory=replace(plan.trajectory, events=events))
+    assert otherwise(resting) == "rest at the cut of bead 0"
 
 
 @pytest.mark.slow
@@ -263,7 +378,9 @@ def test_fibre_that_is_not_as_long_as_its_bead() -> None:
         other = with_events(plan, tuple(event for event in events if event != events[left_out]))
         found = report(other)
         wrong = [check for check in found.checks if not check.ok]
-        assert [(check.name, check.where) for check in wrong] == [("fibre as long as its bead", "bead 1")]
+        event = events[left_out]
+        expected = [("fibre as long as its bead", "bead 1"), (ASKED, f"{event.kind} of bead 1")]
+        assert [(check.name, check.where) for check in wrong] == expected
         assert wrong[0].worst == pytest.approx(8.0 * MM / plan.toolpath.beads[1].length, rel=1e-6)
 
 

@@ -414,6 +414,13 @@ CHECKS: dict[str, Measure] = {
         "the motor pushes what is laid, ahead by the extruder's lag, beside primes, retracts and purges",
         "filament times its section against the volume laid",
     ),
+    "primes, retracts and cuts as asked": Measure(
+        "that are not",
+        "each prime, retract and cut of fibre, and heating and purge at the start, is as the problem asks, with rests at the start "
+        "and at cuts; nothing else moves filament but purges in pauses and changes",
+        "events counted that are missing or others by amount, duration or place, and rests by joints and filament; times within two "
+        "samples",
+    ),
     "fibre as long as its bead": Measure(
         "of a bead's length",
         "as much fibre is fed for a bead as the bead is long",

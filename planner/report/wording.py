@@ -166,6 +166,7 @@ GROUPS = {
         "material keeps pace",
         "extrusion balance",
         "filament fed",
+        "primes, retracts and cuts as asked",
         "fibre as long as its bead",
         "steering radius of the fibre",
         "motor runs while a bead is laid",

@@ -399,10 +399,11 @@ def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
     return Check("rest for a change of material", worst, limit, "s missing", worst <= limit + INSTANT, where)
 
 
-def rest(t: Trajectory, event: Event, wait: float, time: float) -> float:
-    """How long [s] the robot stands still in the `time` from an event on, no filament moves in the first `wait` of it."""
+def rest(t: Trajectory, event: Event, wait: float, time: float, laying: bool = False) -> float:
+    """How long [s] the robot stands still in the `time` from an event on, within a bead or, usually, in travel; no filament
+    moves in the first `wait` of it."""
     first, silent, last = np.searchsorted(t.t, event.start + np.array([-INSTANT, wait + INSTANT, time + INSTANT]))
     still = np.abs(np.diff(t.q[first:last], axis=0)).max(axis=1, initial=0.0) < STILL
     moved = np.abs(np.diff(t.feed[first:last])) > UNMOVED
     moved[max(silent - first - 1, 0) :] = False
-    return float((still & ~moved & ~t.deposit[first : last - 1]).sum()) * t.dt if last > first else 0.0
+    return float((still & ~moved & (t.deposit[first : last - 1] == laying)).sum()) * t.dt if last > first else 0.0

@@ -24,6 +24,7 @@ from planner.collision.print_body import PrintBody, print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
+from planner.verify.around_bead import around_beads
 from planner.verify.as_printed import as_printed
 from planner.verify.by_layer import by_layer
 from planner.verify.checks import (
@@ -112,6 +113,7 @@ def verify(
             _singularity(judged),
             _speed(judged),
             extrusion(judged),
+            around_beads(judged),
             steering(judged),
             by_layer(judged),
             interlayer(judged),
