@@ -24,7 +24,7 @@ class Measure:
 
 
 ONLY_LEAN = "process.cones.nozzle_normal_deg is not 0"
-ONLY_ON_PARTS = "curves are laid on a part"
+ONLY_ON_PARTS = "a drawing, a pattern or curves are laid on a part, or STEP faces are covered"
 ONLY_REREAD = "the source is a drawing, a pattern, curves, waypoints or G-code"
 ONLY_SURFACES = "the source is no waypoints and no G-code"
 ONLY_BODIES = "a wing, a core, a mesh or STEP faces are printed"
