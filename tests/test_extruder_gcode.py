@@ -112,6 +112,15 @@ def test_what_a_board_cannot_be_told_is_refused(change: str, says: str) -> None:
     assert says in str(refused.value)
 
 
+def test_the_temperature_of_a_material_can_be_waited_for() -> None:
+    materials = "process.materials={{pla: {{{}}}, pva: {{}}}}"
+    changes = ["process.start={heat: wait}", materials.format("nozzle_c: 205")]
+    assert load_problem(small_problem().file, changes).process.nozzle_c("pla") == 205.0
+    with pytest.raises(InputError, match="heat is wait, and there is no temperature") as refused:
+        load_problem(small_problem().file, [changes[0], materials.format("")])
+    assert refused.value.field == "process.start.heat"
+
+
 def test_the_cutter_is_no_fan() -> None:
     changes = ["process.fibre={cut_length_mm: 9}", "process.fan={}"]
     with pytest.raises(InputError, match="fan output 0 is the cutter's"):

@@ -339,12 +339,6 @@ class StartSpec(Section):
         "purge_speed_mm_s", "speed of the filament in it [mm/s]", 5
     )
 
-    @model_validator(mode="after")
-    def _heat_for_something(self) -> StartSpec:
-        if self.heat == "wait" and self.nozzle_c is None and self.bed_c is None:
-            raise refusal("heat is wait, and there is no temperature", "give nozzle_c or bed_c", fields=["heat"])
-        return self
-
     @property
     def time(self) -> float:
         """How long the robot rests at home before its first move [s]."""
@@ -595,6 +589,14 @@ class ProcessSpec(AroundBeadSpec):
         """Temperature of a material's nozzle [°C], by its name; None where it is not set."""
         given = self.materials[material].nozzle_c
         return self.start.nozzle_c if given is None else given
+
+    @model_validator(mode="after")
+    def _heat_for_something(self) -> ProcessSpec:
+        hot = [self.start.nozzle_c, self.start.bed_c, *(material.nozzle_c for material in self.materials.values())]
+        if self.start.heat == "wait" and all(celsius is None for celsius in hot):
+            reason, hint = "heat is wait, and there is no temperature", "give nozzle_c or bed_c"
+            raise refusal(reason, hint, item="start", fields=["heat"])
+        return self
 
     @model_validator(mode="after")
     def _slower_than_usual(self) -> ProcessSpec:
