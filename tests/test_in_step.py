@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from benchmarks.in_step import CASES, Case, apart, for_board, worst
 from planner.base.errors import EXIT_INPUT, InputError
 from planner.export.extruder import FILE, differences, gcode
-from planner.export.in_step import READY, SEEN, SHARE, early, stretches
+from planner.export.in_step import READY, SEEN, SHARE, busy_ends, early, stretches
 from planner.export.moves import passed
 from planner.plan import Event, Plan
 from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.settings import BoardSpec
 from planner.simulate.board_file import GRACE, LEAST_SPEED, FileBoard, Output, print_file
-from tests.export_fixtures import make_plan, with_board
+from tests.export_fixtures import make_plan, resting_in_a_bead, with_board
 from tests.solved import small_problem, solve_alone
 
 APART = 0.020  # s
@@ -55,6 +55,13 @@ def test_a_prime_comes_early_by_what_is_free_before_it() -> None:
     assert early(ends, 6.0, 2.0) == READY + 2.0 * SHARE  # since the event that ended at 4 s
     assert early(ends, 6.0, 5.0) == READY + 1.0 * SHARE
     assert early(ends, 9.0, 5.0) == 0.0 == early([], 5.0, 5.0)
+
+
+def test_a_prime_does_not_come_before_the_end_of_a_bead_that_was_cut() -> None:
+    t = resting_in_a_bead(make_plan(beads=2)).trajectory
+    cut, end = t.events[0].start, float(t.t[np.flatnonzero(t.bead == 0)[-1]])
+    assert early(busy_ends(t), end, cut) == 0.0
+    assert early(busy_ends(t), end + 0.3, cut) == pytest.approx(READY + 0.3 * SHARE)
 
 
 def test_the_board_waits_for_both_ends_of_each_bead() -> None:

@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.base.gcode_lines import PAUSE, commands_in, time_of
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
-from planner.export.in_step import NEAR, Stretch, early, fed_within, home_ends, laid_filament, stretches
+from planner.export.in_step import NEAR, Stretch, busy_ends, early, fed_within, laid_filament, stretches
 from planner.plan.plan import SELECTS as SELECTING
 from planner.plan.plan import materials_of, used
 
@@ -351,7 +351,7 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
     board, dt = plan.problem.program.board, plan.trajectory.dt
     waiting: list[Part] = []
     lines: list[str] = []
-    ends = home_ends(plan.trajectory)
+    ends = busy_ends(plan.trajectory)
     now, taken = 0.0, 0
     for stretch in found:
         while taken < len(parts) and parts[taken].start < stretch.off + NEAR:
@@ -662,7 +662,7 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
         late = [abs(at - start) for (at, _), (start, _) in zip(written.selections, planned, strict=True)]
         if not max(late, default=0.0) <= LATE + t.dt:
             found.append(f"a tool is selected {max(late):.3g} s off its time")
-    ends = home_ends(t)
+    ends = busy_ends(t)
     planned_orders = [(due - _sooner(plan, due, line, signals, ends), line) for due, line in _planned_orders(plan)]
     found += order_differences(planned_orders, written.orders, LATE + t.dt, "the board is told other things")
     if written.begin != FIRMWARES[board.firmware].begin:
@@ -689,7 +689,7 @@ def _fed_otherwise(plan: Plan, planned: Sequence[Stretch], fed: Sequence[tuple[f
     around += NEAR if plan.problem.process.extruder.lag > 0.0 else 0.0
     off = _beyond(clock, feed, at, total, around, around)
     primes = [event for event in t.events if event.kind == "prime"] if planned else []
-    offs, ends = [0.0, *(each.off for each in planned)], home_ends(t)
+    offs, ends = [0.0, *(each.off for each in planned)], busy_ends(t)
     for event in primes:
         start = event.start - float(t.t[0])
         sooner = early(ends, start, offs[bisect_right(offs, start, 1) - 1])

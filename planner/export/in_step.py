@@ -54,16 +54,20 @@ def stretches(plan: Plan) -> tuple[Stretch, ...]:
     return tuple(found)
 
 
-def home_ends(t: Trajectory) -> list[float]:
-    """When [s after the trajectory's start] the events end that a prime does not move before, in order."""
+def busy_ends(t: Trajectory) -> list[float]:
+    """When [s after the trajectory's start] beads and the events end that a prime does not move before, in order.
+
+    Of a bead of fibre the output goes off at its cut already: behind that the rest of it is drawn.
+    """
     begin = float(t.t[0])
-    return sorted(event.start + event.duration - begin for event in t.events if event.kind in HOME)
+    beads = (t.t[np.flatnonzero(np.diff(t.deposit.astype(np.int8)) < 0)] - begin).tolist()
+    return sorted([*beads, *(event.start + event.duration - begin for event in t.events if event.kind in HOME)])
 
 
 def early(ends: Sequence[float], at: float, since: float) -> float:
     """By how much [s] what is due `at` a time before a bead comes earlier; the output went off at time `since`.
 
-    ends: as `home_ends` has them
+    ends: as `busy_ends` has them
     """
     gone = bisect_right(ends, at)
     free = max([since, *ends[gone - 1 : gone]])
