@@ -27,7 +27,7 @@ from learn_fixtures import (
     toy_errors,
     with_corrections,
 )
-from solved import small_plan, small_problem
+from solved import small_plan, small_problem, write_small
 
 from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
@@ -52,8 +52,9 @@ from planner.feedback.learn_track import recorded_way
 from planner.feedback.planned import PlannedWith, planned_problem, planned_with
 from planner.feedback.recordings import read_log
 from planner.motion.as_run import FADE, Corrections, displacements, read_corrections
-from planner.plan import Plan, Trajectory
+from planner.plan import Nearer, Plan, Trajectory
 from planner.plan.seal import changed_since, sealed
+from planner.planning.clearance import keeping
 from planner.planning.pipeline import as_it_is, solve
 from planner.problem import Problem, load_problem
 from planner.problem.as_run import AsRunSpec
@@ -574,6 +575,31 @@ def test_what_is_planned_again_is_planned_as_it_was(tmp_path: Path, monkeypatch:
     assert asked == [("greedy", 0.01, 1), ("ladder", 0.01, 1), (None, 0.01, 1)]
     resumed = replace(small_plan(), trajectory=replace(small_plan().trajectory, first_bead=2))
     assert planned_with("small.plan", resumed) == PlannedWith("ladder", 2, resumed.settings["dt"])
+
+
+@pytest.mark.parametrize(
+    ("kept", "old", "new"),
+    [
+        (None, "  speed_mm_s: 40", "  speed_mm_s: 10"),
+        (1e-3, "strategy: ladder", "collision: {nozzle_mm: 1.1}\nstrategy: ladder"),
+    ],
+)
+def test_a_saved_plan_is_taken_unless_its_problem_was_changed_since(
+    tmp_path: Path, kept: float | None, old: str, new: str
+) -> None:
+    """kept: the distance of nozzle and head [m] where no plan has the usual one"""
+    file = write_small(tmp_path)
+    own = replace(small_plan(), problem=load_problem(file))
+    if kept is not None:
+        nearer = Nearer(kept, own.problem.collision.nozzle, "there is no way with that")
+        own = replace(own, problem=keeping(own.problem, kept), nearer=nearer)
+    own = sealed(own)
+    saved = str(own.save(tmp_path / "small.plan"))
+    taken = ran_plan(saved, (), None, Stages())
+    assert (taken.seal, taken.checks) == (own.seal, own.checks)
+    file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match="as it was planned: 1 parts, changed since: problem"):
+        ran_plan(saved, (), None, Stages())
 
 
 TAUGHT = {

@@ -57,8 +57,9 @@ from planner.feedback.recordings import add_recording, read_log
 from planner.motion.as_run import Corrections, asked_of, asked_trajectory, corrections_of
 from planner.plan import Check, Plan
 from planner.plan.seal import sealed
+from planner.planning.clearance import as_near
 from planner.planning.options import add_set, add_strategy
-from planner.planning.pipeline import REPEATED, solve, with_asked, write_files
+from planner.planning.pipeline import REPEATED, as_it_is, solve, with_asked, write_files
 from planner.planning.pipeline import RESULTS_BY as PLANNED_BY
 from planner.problem import load_problem
 from planner.problem.as_run import AsRunSpec
@@ -186,7 +187,8 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
 def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
     """The plan whose program was run: as it was saved, or planned again as it was, but for what is given otherwise.
 
-    Raises InputError where there is no program of it, Refusal where there is no plan.
+    Raises InputError where there is no program of it, as of a saved plan whose problem or robots were changed since,
+    and Refusal where there is no plan.
     """
     problem, plan = planned_problem(given)
     if plan is None or overrides or strategy:
@@ -202,7 +204,7 @@ def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | No
             baseline=False,
         )
     else:
-        plan = replace(plan, problem=problem)
+        plan = as_it_is(replace(plan, problem=as_near(problem, plan.nearer)), stages)
     if not plan.verified:
         reason = f"the plan is not verified, so that no program of it was written: {in_words(plan.checks)}"
         raise InputError(reason, file=given)

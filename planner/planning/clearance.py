@@ -22,9 +22,19 @@ from planner.verify.verdict import Report
 NOZZLE_CHECK = "nozzle clear of part and print"
 
 
+def keeping(problem: Problem, nozzle: float) -> Problem:
+    """The problem where nozzle and head keep this distance [m]."""
+    return problem.model_copy(update={"collision": problem.collision.model_copy(update={"nozzle": nozzle})})
+
+
 def may_come_nearer(problem: Problem) -> bool:
     """Whether nozzle and head keep the usual distance because the problem says nothing of it."""
     return "nozzle" not in problem.collision.model_fields_set
+
+
+def as_near(problem: Problem, nearer: Nearer | None) -> Problem:
+    """A problem that is read again, with the distance that a plan of it keeps where that is less than usual."""
+    return keeping(problem, nearer.kept) if nearer is not None and may_come_nearer(problem) else problem
 
 
 def lacks_clearance_only(report: Report) -> bool:
@@ -72,8 +82,7 @@ def coming_nearer(
 
 def _keeping(given: PlanningContext, kept: float) -> PlanningContext:
     """The same where nozzle and head keep this distance [m]."""
-    spec = given.problem.collision.model_copy(update={"nozzle": kept})
-    problem = given.problem.model_copy(update={"collision": spec})
+    problem = keeping(given.problem, kept)
     obstacles = obstacles_of(problem, given.cell, given.toolpath, given.body)
     return replace(given, problem=problem, obstacles=obstacles, start=())
 
