@@ -664,6 +664,7 @@ def test_robot_and_extruder_are_guided_together() -> None:
     ("board", "robot", "error", "words"),
     [
         (("error@3",), (), FeedStopped, "the board reports"),
+        (("clog@3",), (), FeedStopped, "the board reports"),
         (("drop@3",), (), FeedStopped, "the board closed the connection"),
         ((), ("mute@90",), EgmStopped, "said nothing for 0.5 s"),
         ((), ("stop@90",), EgmStopped, "has stopped"),

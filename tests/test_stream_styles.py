@@ -146,6 +146,7 @@ def test_lines_go_to_the_board_with_the_moves() -> None:
     ("board_faults", "stream_faults", "words"),
     [
         (("error@6",), (), "the board reports"),
+        (("clog@6",), (), "the board reports"),
         (("drop@6",), (), "the board closed the connection"),
         (("garbage@6",), (), "the board sent"),
         (("fatal@6",), (), "the board reports"),
@@ -169,6 +170,12 @@ def test_a_feed_knows_what_its_lines_have_switched() -> None:
     for text in ("M106 P2 S255", "M42 P5 S255 G4 P500 M42 P5 S0", "M106 P2 S9"):
         feed.add(text)
     assert feed.safe == ("M106 P0 S0", "M106 P2 S0", "M42 P5 S0")
+
+
+@pytest.mark.parametrize("said", ["Error: bad", "Error: Filament error on extruder 0: tooLittleMovement"])
+def test_a_feed_stops_at_whatever_the_board_reports(said: str) -> None:
+    with pytest.raises(FeedStopped, match="the board reports"):
+        Feed().received(said.encode() + b"\n")
 
 
 def test_a_board_that_lags_too_far_stops_the_robot() -> None:

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 
 from planner.base.errors import EXIT_NOT_VERIFIED, PlannerError
 from planner.link.connections import PIECE, Address, part
-from planner.link.messages import Framer, Ok, Resend, Trouble, from_board, to_board, to_board_plain
+from planner.link.messages import Framer, Jam, Ok, Resend, Trouble, from_board, to_board, to_board_plain
 from planner.link.relay import MOST_RESENDS, SAFE, Patience, safe_behind
 from planner.link.run import LINGER_TIME, open_board
 
@@ -54,7 +54,7 @@ class Feed:
         lines, garbage = self._framer.lines(data)
         for text in lines:
             message = from_board(text)
-            if isinstance(message, Trouble):
+            if isinstance(message, Trouble | Jam):  # nobody is asked to mend a jam
                 raise FeedStopped(f"the board reports {text!r} at line {self.sent}")
             if isinstance(message, Resend):
                 out += self._again(message.n)
