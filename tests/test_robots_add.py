@@ -12,7 +12,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from planner.base.errors import InputError, OutputError
+from planner.base.errors import EXIT_INPUT, InputError, OutputError
 from planner.cell import pieces
 from planner.cell.bodies import BodyRules, read_bodies
 from planner.cell.cell import build_cell
@@ -216,11 +216,13 @@ def test_two_arms_need_a_name() -> None:
     assert survey(urdf(text), "left_tool0").joints[0] == "left_joint_1"
 
 
-def test_a_file_that_is_there_stays(tmp_path: Path) -> None:
-    (tmp_path / "arm.yaml").write_text("mine", encoding="utf-8")
-    with pytest.raises(OutputError, match="is there already"):
-        added(written(tmp_path, urdf_of(KR10)), tmp_path / "arm.yaml")
-    assert (tmp_path / "arm.yaml").read_text(encoding="utf-8") == "mine"
+@pytest.mark.parametrize("name", ["arm.yaml", "arm_print.yaml", "arm_print.txt"])
+def test_a_file_that_is_there_stays(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / name).write_text("mine", encoding="utf-8")
+    assert main(["add", str(written(tmp_path, urdf_of(KR10))), "--out", str(tmp_path / "arm.yaml")]) == EXIT_INPUT
+    assert f"{name} is there already, and stays as it is" in capsys.readouterr().err
+    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", name}
 
 
 def test_xacro_names_its_extra(

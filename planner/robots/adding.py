@@ -18,7 +18,7 @@ from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.problem.settings import LANGUAGE_NAMES
 from planner.robots.face import DEEP, depth, frame_at_the_end
-from planner.robots.files import robot_text
+from planner.robots.files import robot_text, trial_files
 from planner.robots.survey import Survey, expanded, key_of, survey
 from planner.robots.touching import NOTHING, Touching, touching
 
@@ -101,8 +101,11 @@ def added(
     tip: str | None = None,
     language: str | None = None,
     arguments: Mapping[str, str] = NO_ARGUMENTS,
+    tried: bool = False,
 ) -> tuple[Path, Added]:
     """Write a robot's file from its URDF, named after the robot in this folder if no name is given; returns where.
+
+    tried: whether a print that tries it will stand beside it, so that none may be there
 
     Raises InputError for a URDF that cannot be planned with, and OutputError where the file cannot be written; then
     nothing is.
@@ -115,6 +118,10 @@ def added(
         raise OutputError(f"there is no folder {file.parent}")
     if file.exists():
         raise OutputError(f"{file} is there already, and stays as it is: --out gives another name")
+    for there in trial_files(file) if tried else ():
+        if there.exists():
+            reason = f"{there} is there already, and stays as it is: --out gives another name, --no-print plans none"
+            raise OutputError(reason)
     source = urdf
     if text is not None:
         # beside the xacro file, from where its meshes are found

@@ -80,7 +80,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _add(options: argparse.Namespace, errors: Console) -> int:
     say = partial(errors.print, markup=False, soft_wrap=True)
-    file, made = added(options.urdf, options.out, options.tip, options.language, dict(options.arguments))
+    arguments, tried = dict(options.arguments), not options.no_print
+    file, made = added(options.urdf, options.out, options.tip, options.language, arguments, tried)
     for note in (*made.found.notes, *made.touch.notes):
         say(f"  {note}")
     for part in robots_command.details(file, made.robot):

@@ -11,11 +11,18 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.shipped import PROBLEM_SCHEMA
+from planner.problem.fields import identifier_like
 from planner.problem.yaml_file import yaml_text
 from planner.robots.survey import Survey
 from planner.robots.touching import Touching
 
 ROBOT_SCHEMA = PROBLEM_SCHEMA.with_name("robot.schema.json")
+
+
+def trial_files(file: Path) -> tuple[Path, Path]:
+    """Waypoints and problem of the print that tries a robot, beside the robot's file."""
+    name = identifier_like(file.stem, "_print")
+    return file.with_name(f"{name}.txt"), file.with_name(f"{name}.yaml")
 
 
 def robot_text(found: Survey, touch: Touching, urdf: Path, file: Path, language: str | None) -> str:

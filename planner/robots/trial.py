@@ -17,10 +17,9 @@ from planner.new.posture import FAR, HIGH, ROUND, reached
 from planner.plan import Plan
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
-from planner.problem.fields import identifier_like
 from planner.problem.problem import parse_problem
 from planner.robots.face import DEEP, depth
-from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text
+from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text, trial_files
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
 PLACES = 20  # best places that are looked at, one after another
@@ -52,12 +51,11 @@ def trial(robot: Robot, file: Path, outwards: Array, cap: Cap | None = None) -> 
     flange frame; cap: another than suits its reach. The nozzle is bent as that of the problem peer_cap, or straight."""
     far = reach(robot) or 0.0
     cap = cap or cap_for(far)
-    name = identifier_like(file.stem, "_print")
-    waypoints = file.parent / f"{name}.txt"
+    waypoints, _ = trial_files(file)
     waypoints.write_text(cap.waypoints, encoding="utf-8")
     made = None
     try:
-        made = _first_verified(robot, file, name, outwards, cap, far)
+        made = _first_verified(robot, file, waypoints.stem, outwards, cap, far)
     finally:
         if made is None or made.plan is None:
             waypoints.unlink()
