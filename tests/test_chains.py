@@ -62,17 +62,19 @@ def test_a_shared_print_is_the_print(tmp_path: Path, monkeypatch: pytest.MonkeyP
         ("tip_mm: [-44.51, 9.9, 113.95]", "tip_mm: [-44.51, 9.9, 114]"),
         ("resolve: {", "collision: {nozzle_mm: 1}\nresolve: {weights: {joint_limits: 2}, "),
         ("part:", "  limits: {joint_1: {acceleration_rad_s2: 9}}\npart:"),
+        ("bead: {width_mm: 0.6", "bead: {width_mm: 0.62"),
     ],
-    ids=["part", "nozzle", "settings", "limits"],
+    ids=["part", "nozzle", "settings", "limits", "beads"],
 )
 def test_a_file_that_is_another_one_elsewhere_is_told(tmp_path: Path, change: tuple[str, str]) -> None:
     problem = small_problem()
-    cell, tasks = build_cell(problem), tasks_of(problem, build_toolpath(problem))
-    digest = digest_of(problem, cell, tasks)
+    cell, toolpath = build_cell(problem), build_toolpath(problem)
+    tasks = tasks_of(problem, toolpath)
+    digest = digest_of(problem, cell, toolpath, tasks)
     file = write_small(tmp_path, change)
     with pytest.raises(InputError, match=r"small\.yaml.* is not the same for a worker"):
         context_elsewhere(str(file), (), digest)
-    assert digest != digest_of(problem, cell, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
+    assert digest != digest_of(problem, cell, toolpath, [replace(tasks[0], tip=tasks[0].tip + 1e-9), *tasks[1:]])
 
 
 def test_a_linked_problem_is_named_by_its_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

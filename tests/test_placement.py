@@ -13,7 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from solved import BED, write_small
+from solved import BED, small_problem, write_small
 from test_nozzles import TWO, two_nozzles
 
 from planner.base.distribution import crew
@@ -532,6 +532,15 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
     again = tmp_path / "again"
     assert main([str(problem), "--out", str(again), "--best", "0", *SMALL]) == EXIT_VERIFIED
     assert first == tuple((again / name).read_bytes() for name in (TABLE, PICTURE))
+
+
+def test_layers_above_the_first_make_another_site() -> None:
+    digests = set()
+    for problem in (small_problem(), small_problem().changed(["layers.count=2"])):
+        cell = build_cell(problem)
+        axes = axes_of(problem, cell, place_of(problem), None, [])
+        digests.add(site_of(StudyRequest(str(problem.file)), problem, cell, axes).digest)
+    assert len(digests) == 2
 
 
 @pytest.mark.slow

@@ -274,7 +274,7 @@ class Site:
     @cached_property
     def digest(self) -> str:
         """Of what the files say; see `digest_of`."""
-        return digest_of(self.problem, self.cell, self.guides)
+        return digest_of(self.problem, self.cell, self.toolpath, self.guides)
 
     def at(self, point: Point) -> PartPlace:
         """The place of a point of the search."""

@@ -86,7 +86,7 @@ def context_elsewhere(name: str, overrides: tuple[str, ...], digest: str) -> Pla
     one there, as `digest_of` tells."""
     problem = load_problem(name, overrides)
     given = context_of(problem, build_cell(problem), build_toolpath(problem))
-    check_same(problem, digest_of(problem, given.cell, given.tasks), digest)
+    check_same(problem, digest_of(problem, given.cell, given.toolpath, given.tasks), digest)
     return given
 
 
@@ -97,12 +97,13 @@ def found_anywhere(problem: Problem) -> str:
     return file.stem if file.parent == PROBLEMS else str(file)
 
 
-def digest_of(problem: Problem, cell: Cell, tasks: Sequence[NozzleTask]) -> str:
+def digest_of(problem: Problem, cell: Cell, toolpath: Toolpath, tasks: Sequence[NozzleTask]) -> str:
     """Of all that searches, refinement and scores depend on: where two differ, so do the problems, or what they name."""
     bodies = cell.head, cell.nozzles, cell.fixtures, cell.carried
-    return seal.digest_of(
-        (cell.arm, cell.holder, cell.limits, cell.home, bodies, tasks, problem.collision, problem.resolve)
-    )
+    robots = cell.arm, cell.holder, cell.limits, cell.home, bodies
+    printed = toolpath.beads, toolpath.shape, toolpath.solid
+    settings = problem.collision, problem.process, problem.resolve
+    return seal.digest_of((robots, printed, tasks, settings))
 
 
 def check_same(problem: Problem, here: str, there: str) -> None:

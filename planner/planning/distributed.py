@@ -32,7 +32,7 @@ def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
         return refine_paths(cell, paths, settings, given.obstacles)
     prices = given_prices(model_of(cell, given.obstacles, terms_of(settings.weights)), paths, settings)
     floor = sigma_floor(prices, settings)
-    where = found_anywhere(problem), problem.overrides, digest_of(problem, cell, given.tasks)
+    where = found_anywhere(problem), problem.overrides, digest_of(problem, cell, given.toolpath, given.tasks)
     pieces: list[WorkPiece] = [
         (where, [prices.get(i) for i in piece], floor, piece, [_joints(paths[i]) for i in piece])
         for piece in pieces_of(paths)
