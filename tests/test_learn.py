@@ -37,8 +37,10 @@ from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import followed
-from planner.feedback.learn_command import _not_followed, language_of, learned_plan, main, ran_plan
+from planner.feedback.learn_command import Learned, _not_followed, language_of, learned_plan, main, ran_plan
 from planner.feedback.learn_fit import (
+    Lessons,
+    RunErrors,
     _smoothed,
     bends,
     errors_of,
@@ -600,6 +602,38 @@ def test_a_saved_plan_is_taken_unless_its_problem_was_changed_since(
     file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     with pytest.raises(InputError, match="as it was planned: 1 parts, changed since: problem"):
         ran_plan(saved, (), None, Stages())
+
+
+def taught_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: Callable[[], object]) -> list[str]:
+    """Arguments of the command, for a recording that teaches nothing; something happens while it is looked at."""
+    own = replace(small_plan(), problem=load_problem(write_small(folder)))
+    none, n = np.zeros((0, 3)), len(own.trajectory)
+    lessons = Lessons(Corrections(np.zeros(0, dtype=np.int64), np.zeros(0), none), none, none, np.zeros(0))
+    errors = RunErrors(np.zeros((n, 3)), np.zeros(n, dtype=bool), np.full(n, np.nan), 0.0)
+
+    def recorded(*_: object) -> tuple[Learned, RunErrors]:
+        meanwhile()
+        return Learned(own, lessons, 0, ()), errors
+
+    for name, instead in {
+        "ran_plan": lambda *_: own,
+        "_recorded": recorded,
+        "write_lessons": lambda *given: given[-1].write_text(ROWS, encoding="utf-8"),
+        "write_picture": lambda *_: None,
+    }.items():
+        monkeypatch.setattr(f"planner.feedback.learn_command.{name}", instead)
+    return ["small", "run.csv", "--out", str(folder / "out"), "--quiet"]
+
+
+def test_a_problem_that_is_changed_meanwhile_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def changed() -> None:
+        write_small(tmp_path, ("  speed_mm_s: 40", "  speed_mm_s: 30"))
+
+    assert main(taught_nothing(tmp_path, monkeypatch, changed)) == EXIT_INPUT
+    assert "small.yaml: was changed meanwhile" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 TAUGHT = {

@@ -6,6 +6,7 @@ import csv
 import itertools
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -618,6 +619,22 @@ def test_present_place_may_be_unreachable(bed: Problem, tmp_path: Path, capsys: 
     assert main([str(problem), "--out", str(tmp_path / "out"), "--best", "1", *SMALL]) == EXIT_VERIFIED
     assert "as it stands: no plan" in capsys.readouterr().out
     assert isinstance(build_cell(load_problem(tmp_path / "out" / "small_placed.yaml")), Cell)
+
+
+def test_a_file_that_is_changed_meanwhile_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def changed(*_: object) -> list[PlaceOutcome]:
+        write_small(tmp_path, *BED, ("  speed_mm_s: 40", "  speed_mm_s: 30"))
+        return []
+
+    for name in ("write_table", "draw_map"):
+        monkeypatch.setattr(f"planner.place.command.{name}", lambda *_: None)
+    monkeypatch.setattr("planner.place.command.study", lambda *_: SimpleNamespace(best=()))
+    monkeypatch.setattr("planner.place.command.outcomes", changed)
+    assert main([str(write_small(tmp_path, *BED)), "--out", str(tmp_path / "out"), *SMALL]) == EXIT_INPUT
+    assert "small.yaml: was changed meanwhile" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_that_cannot_be_written_is_told_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -58,6 +58,7 @@ from planner.motion.as_run import Corrections, asked_of, asked_trajectory, corre
 from planner.plan import Check, Plan
 from planner.plan.seal import sealed
 from planner.planning.clearance import as_near
+from planner.planning.context import check_unchanged
 from planner.planning.options import add_set, add_strategy
 from planner.planning.pipeline import REPEATED, as_it_is, solve, with_asked, write_files
 from planner.planning.pipeline import RESULTS_BY as PLANNED_BY
@@ -114,7 +115,9 @@ def _run(options: argparse.Namespace) -> int:
         with results_folder(folder, RESULTS_BY) as fresh:
             write_lessons(learned.lessons, plan, errors, fresh / CORRECTIONS)
             write_picture(plan, errors, learned.lessons.corrections, run, fresh / PICTURE)
-            (fresh / target.name).write_text(write_problem(problem, name, most, folder), encoding="utf-8")
+            text = write_problem(problem, name, most, folder)
+            check_unchanged(problem, as_near(problem.changed(()), plan.nearer))
+            (fresh / target.name).write_text(text, encoding="utf-8")
         problem = load_problem(target, absolute_overrides(problem))
         settings = learned.plan.settings | {"overrides": list(problem.overrides)}
         done = sealed(replace(learned.plan, problem=problem, settings=settings))

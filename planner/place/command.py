@@ -26,7 +26,7 @@ from planner.base.signals import no_more_interruptions
 from planner.cell.cell import build_cell
 from planner.place.site import ANGLES, FREEDOMS, PartPlace, StudyRequest, axes_of, changed_fields, place_of, site_of
 from planner.place.study import Crew, PlaceOutcome, Slice, Study, crew_of, study
-from planner.planning.context import found_anywhere
+from planner.planning.context import check_unchanged, found_anywhere
 from planner.planning.options import add_problem, add_set, add_spread, add_strategy
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import write_changed
@@ -198,6 +198,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             if options.best:
                 with stages.counted("solve", 1 + len(found.best)) as tick:
                     solved = outcomes(found, crew, tick)
+                check_unchanged(problem, problem.changed(()))
     no_more_interruptions()  # which would say that nothing was written
     names = [axis.name for axis in found.axes]
     out = Console(highlight=False, width=None if sys.stdout.isatty() else 160)

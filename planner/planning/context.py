@@ -111,3 +111,9 @@ def check_same(problem: Problem, here: str, there: str) -> None:
     if here != there:
         hint = "put them in a folder that all machines share"
         raise InputError("is not the same for a worker, or a file that it names", file=problem.file, hint=hint)
+
+
+def check_unchanged(problem: Problem, now: Problem) -> None:
+    """Raise InputError where a problem is another one `now` that it is read again: what was found is not of that."""
+    if seal.digest_of(problem) != seal.digest_of(now):
+        raise InputError("was changed meanwhile", file=problem.file, hint="begin again")
