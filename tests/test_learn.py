@@ -636,6 +636,28 @@ def test_a_problem_that_is_changed_meanwhile_is_told(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("error", "code", "words"),
+    [(KeyboardInterrupt(), 130, "interrupted: no program was written"), (OSError(28, "full"), 2, "cannot write into")],
+)
+def test_what_is_there_of_a_program_that_could_not_be_written_is_told(
+    error: BaseException,
+    code: int,
+    words: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def ended(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr("planner.feedback.learn_command.write_files", ended)
+    assert main(taught_nothing(tmp_path, monkeypatch, lambda: None)) == code
+    told = capsys.readouterr().err
+    assert words in told and "small_run_2.yaml and its corrections.csv are there, their program is not" in told
+    assert (tmp_path / "out" / "small_run_2.yaml").is_file()
+
+
 TAUGHT = {
     "no number": ("0.5", "nan", "a number is not finite, or far too large"),
     "endless": ("0.5", "9" * 200_000, "is not CSV: field larger"),

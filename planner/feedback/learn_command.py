@@ -9,6 +9,7 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from planner.base.command_line import Command, exit_code, number_within
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.base.results import results_folder
+from planner.base.signals import no_more_interruptions
 from planner.export.controllers import CONTROLLERS, ControllerLimits
 from planner.export.forecast import close_moves
 from planner.export.languages import LANGUAGES, chosen
@@ -93,7 +95,7 @@ class Learned:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     options = learn_command().parse_args(arguments)
-    return exit_code(partial(_run, options), partial(print, file=sys.stderr))
+    return exit_code(partial(_run, options), partial(print, file=sys.stderr), "no program was written")
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -121,8 +123,13 @@ def _run(options: argparse.Namespace) -> int:
         problem = load_problem(target, absolute_overrides(problem))
         settings = learned.plan.settings | {"overrides": list(problem.overrides)}
         done = sealed(replace(learned.plan, problem=problem, settings=settings))
-        with results_folder(folder, PLANNED_BY) as fresh:
-            done = write_files(done, fresh, stages)
+        with ExitStack() as unless_done:
+            told = f"{target} and its {CORRECTIONS} are there, their program is not"
+            unless_done.callback(print, told, file=sys.stderr)
+            with results_folder(folder, PLANNED_BY) as fresh:
+                done = write_files(done, fresh, stages)
+            unless_done.pop_all()
+    no_more_interruptions()  # which would say that no program was written
     print_summary(done, folder, chosen(done).words, program_notes(done, folder), forecast_words(folder))
     return EXIT_VERIFIED if done.verified else EXIT_NOT_VERIFIED
 
