@@ -65,8 +65,13 @@ def test_own_robot_and_its_urdf_are_watched(tmp_path: Path) -> None:
     for name in ("irb140.yaml", "irb140.urdf"):
         (tmp_path / name).write_bytes((ROOT / "robots" / name).read_bytes())
     path = write_small(tmp_path, ("arm: irb140", "arm: irb140.yaml"))
-    _, named = read_content(path, ())
+    whole, named = read_content(path, ())
     assert {file.name for file in named} == {"irb140.yaml", "irb140.urdf", "small.svg"}
+    robot = tmp_path / "irb140.yaml"
+    robot.write_text("urdf: [\n" + robot.read_text(encoding="utf-8"), encoding="utf-8")
+    broken, named = read_content(path, ())
+    assert {file.name for file in named} == {"irb140.yaml", "small.svg"}, "one that is to be mended, too"
+    assert changes(whole, broken) == ("irb140.yaml changed",)
 
 
 def test_own_rail_and_its_urdf_are_watched(tmp_path: Path) -> None:

@@ -149,7 +149,10 @@ def _with_urdf(problem: Problem) -> Iterator[Path]:
     others = [spec.robot for spec in (problem.cell.carrier, problem.cell.positioner) if spec is not None]
     for robot in (problem.cell.arm, *others):
         if isinstance(robot, Path) and robot.is_file():
-            urdf = read_robot_file(robot).data.get("urdf")
+            try:
+                urdf = read_robot_file(robot).data.get("urdf")
+            except InputError:
+                continue  # the solver says so, by its line
             if isinstance(urdf, str):
                 yield robot.parent / urdf
 
