@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import errno
 import itertools
+import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -417,6 +420,26 @@ def test_a_file_is_never_overwritten(tmp_path: Path, table: Problem) -> None:
     with pytest.raises(OutputError, match=r"mine\.yaml is there already"):
         write_changed(table, {}, target)
     assert target.read_text(encoding="utf-8") == "mine"
+
+
+def test_nothing_is_left_of_a_file_for_which_there_is_no_room(
+    tmp_path: Path, table: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    really = Path.open
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def opened(path: Path, *given: Any, **named: Any) -> Any:
+        stream = really(path, *given, **named)
+        if given == ("x",):
+            stream.write = full
+        return stream
+
+    monkeypatch.setattr(Path, "open", opened)
+    with pytest.raises(OutputError, match=r"cannot write .*mine\.yaml: No space left"):
+        write_changed(table, {}, tmp_path / "mine.yaml")
+    assert list(tmp_path.glob("*.yaml")) == []
 
 
 # --- the search ------------------------------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""Files that a problem names, read whole up to a size."""
+"""Files that a problem names, read whole up to a size, and new ones, written whole or not at all."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from planner.base.errors import Complaint, InputError
+from planner.base.signals import interruptions_held
 
 
 def read_bytes(path: Path, largest: int, complain: Complaint, hint: str | None = None) -> bytes:
@@ -47,3 +48,18 @@ def read_text(path: Path, largest: int, complain: Complaint) -> list[str]:
         line = data[: error.start].count(b"\n") + 1
         raise InputError("is not UTF-8 text", file=path, line=line, hint="save it as plain text") from None
     return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a text, line ends as they are, into a file that is not there yet.
+
+    OSError where one is, or none can be written; then nothing is left of it.
+    """
+    with interruptions_held():
+        stream = path.open("x", encoding="utf-8", newline="")
+        try:
+            with stream:
+                stream.write(text)
+        except OSError:
+            path.unlink(missing_ok=True)
+            raise

@@ -12,9 +12,9 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError, OutputError
+from planner.base.files import write_new
 from planner.base.results import digest
 from planner.base.shipped import ROBOTS
-from planner.base.signals import interruptions_held
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import RobotFile, read_robot_file
@@ -96,9 +96,8 @@ def write_measured(
             text = measured_text(robot, own, delays, source, folder)
             target = robot.target(folder)
             folder.mkdir(parents=True, exist_ok=True)
-            with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
-                written.append(target)
-                stream.write(text)
+            write_new(target, text)
+            written.append(target)
             read_robot(target)  # which tells what no robot may have
     except (OSError, InputError) as error:
         for path in written:
@@ -150,8 +149,7 @@ def write_controller(
     target = robot.target(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
-            stream.write("\n".join(lines) + "\n" + with_values(text, changes))
+        write_new(target, "\n".join(lines) + "\n" + with_values(text, changes))
         read_robot(target)  # which tells what no robot may have
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror}") from error

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 
 from planner.base.errors import InputError, OutputError
-from planner.base.signals import interruptions_held
+from planner.base.files import write_new
 from planner.problem.overrides import with_paths
 from planner.problem.problem import Problem
 from planner.problem.yaml_file import Keys, Override, parse_yaml
@@ -29,8 +29,7 @@ def write_changed(problem: Problem, changes: Mapping[str, Value], target: Path) 
     text = changed_text(problem, changes, target.parent)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with interruptions_held(), target.open("x", encoding="utf-8", newline="") as stream:
-            stream.write(text)
+        write_new(target, text)
     except FileExistsError:
         raise OutputError(f"{target} is there already, and stays as it is: choose another name") from None
     except OSError as error:
