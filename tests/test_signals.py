@@ -155,6 +155,35 @@ def test_interruptions_that_are_held_come_later() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "held\ninterrupted\n", "")
 
 
+CLOSED = """\
+import os, signal, time
+from planner.base.signals import hangups_interrupt
+
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+try:
+    with hangups_interrupt():
+        try:
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(30.0)
+        finally:
+            os.kill(os.getpid(), signal.SIGHUP)
+            print("safe")
+except KeyboardInterrupt:
+    print("interrupted")
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+with hangups_interrupt():
+    os.kill(os.getpid(), signal.SIGHUP)
+print("not with nohup")
+"""
+
+
+def test_a_terminal_that_closes_interrupts_once() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CLOSED], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "safe\ninterrupted\nnot with nohup\n", "")
+
+
 def test_errors_without_an_interruption_are_told(tmp_path: Path) -> None:
     code, said = swallowed(tmp_path, "raise TypeError('no common dtype')")
     assert code == 1

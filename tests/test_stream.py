@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
 import struct
 import time
@@ -421,15 +422,24 @@ def test_silence_stops_the_robot() -> None:
 # ---- the command --------------------------------------------------------------------------------------------------
 
 
-def test_the_command(tmp_path, capsys) -> None:
+def test_the_command(tmp_path, capsys, monkeypatch) -> None:
     for name, text in rapid_files(in_modules(make_plan(), 50)).items():
         (tmp_path / name).write_text(text, "ascii")
     as_results(tmp_path)
     assert len(list(tmp_path.glob("*.mod"))) > 2
     made = tmp_path / "BeadwiseStream.mod"  # beside the program's own modules
+    handlers = []  # of a terminal that closes
+
+    def sent(*given):
+        handlers.append(signal.getsignal(signal.SIGHUP))
+        return send(*given)
+
+    monkeypatch.setattr(stream_sender, "send", sent)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
     with closing(StreamServer("127.0.0.1", 0, 20.0)) as there:
         host, port = there.address
         assert main([str(tmp_path), "--controller", f"{host}:{port}", "--server", str(made)]) == 0
+    assert signal.signal(signal.SIGHUP, before) is signal.SIG_DFL and callable(handlers[0])
     assert f"bsPort:={port};" in made.read_text() and "finished after" in capsys.readouterr().err
     assert main([str(tmp_path), "--controller", f"{host}:{port}"]) == 2  # nobody is there any more
     assert "no connection to" in capsys.readouterr().err

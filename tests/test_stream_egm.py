@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import json
+import signal
 import socket
 import threading
 import time
@@ -548,6 +549,16 @@ def test_the_command_says_what_is_wrong(tmp_path, capsys) -> None:
     assert egm.main([str(tmp_path)]) == 2 and "no plan here" in capsys.readouterr().err
     folder_of(make_plan(), tmp_path)
     assert egm.main([str(tmp_path), "--port", "70000"]) == 2 and "cannot listen" in capsys.readouterr().err
+
+
+def test_the_command_listens_for_a_terminal_that_closes(tmp_path, monkeypatch) -> None:
+    handlers = []
+    monkeypatch.setattr(egm, "follow", lambda *_: handlers.append(signal.getsignal(signal.SIGHUP)))
+    folder_of(make_plan(), tmp_path)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    assert egm.main([str(tmp_path), "--port", "0"]) == 0
+    assert signal.signal(signal.SIGHUP, before) is signal.SIG_DFL
+    assert callable(handlers[0])
 
 
 # ---- with the extruder ----------------------------------------------------------------------------------------------

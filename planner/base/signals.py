@@ -52,6 +52,31 @@ def terminations_interrupt() -> None:
                 signal.signal(number, _interrupt)
 
 
+@contextmanager
+def hangups_interrupt() -> Iterator[None]:
+    """In the block a terminal that closes interrupts, as Ctrl-C does, unless that is ignored, as under nohup.
+
+    For commands that start no process.
+    """
+    number = getattr(signal, "SIGHUP", None)
+    main_thread = threading.current_thread() is threading.main_thread()
+    if number is None or not main_thread or signal.getsignal(number) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(number, _hung_up)
+    try:
+        yield
+    finally:
+        signal.signal(number, signal.SIG_DFL)
+
+
+def _hung_up(number: int, frame: FrameType | None) -> None:
+    """The system and the shell both say so; the second time nothing is to be cut off that answers the first."""
+    if not _holding:
+        signal.signal(number, signal.SIG_IGN)
+    _interrupt(number, frame)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if _holding:
         _held.append(number)

@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from planner.base.arrays import Array
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
+from planner.base.signals import hangups_interrupt
 from planner.link.as_written import PLAN, add_edited, read_json, table_as_written, within_limits
 from planner.link.connections import given_address
 from planner.link.egm_wire import ARM_AXES, EgmState, EgmWire, egm_messages, egm_wire
@@ -385,7 +386,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     if cell is not None:
         within_limits(cell.as_counted, plan.q[:, plan.velocity > 0.0], PERIOD, say)
     tool = 0 if options.head is None else filament_tool(options.folder)
-    with egm_wire(options.host, options.port, options.controller) as wire:
+    with hangups_interrupt(), egm_wire(options.host, options.port, options.controller) as wire:
         say(f"waiting for {options.controller or 'the controller'} on {options.host}:{wire.port} (UDP)")
         if options.head is None:
             follow(plan, wire, say)

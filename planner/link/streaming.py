@@ -24,6 +24,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, PlannerError
 from planner.base.gcode_lines import commands_in
+from planner.base.signals import hangups_interrupt
 from planner.export.program import RobotProgram, Trigger
 from planner.export.rapid.reader import read_rapid_files
 from planner.link.as_written import PLAN, add_edited, program_as_written, read_json
@@ -484,7 +485,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
         except OSError as error:
             raise OutputError(f"cannot write {options.server}: {error.strerror or error}") from error
     if options.controller is not None:
-        with ExitStack() as stack:
+        with hangups_interrupt(), ExitStack() as stack:
             board = None
             if options.head is not None:
                 board = stack.enter_context(feeding(given_address(options.head, BOARD_PORT, "--head")))
