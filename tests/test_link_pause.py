@@ -16,6 +16,7 @@ from simulate_fixtures import MODULE, Client, program, reader
 from test_link_relay import BOARD, CONTROLLER, PROGRAM, TOTAL, Run, check, reason_of, said, started, written
 from test_link_rws import files_of, serving, session, silent, until
 
+from planner.link.connections import LinkError
 from planner.link.messages import Jam, Remark, Trouble, from_board
 from planner.link.orders import (
     JAMMED,
@@ -384,6 +385,37 @@ def test_a_robot_that_cannot_be_seen_to_pause() -> None:
         assert isinstance(asked[0], StopOrder) and "the robot was not seen to pause" in asked[0].reason
         watch.stop("enough")
         assert watch.close() is not None, "nor to stop"
+
+
+def test_a_robot_that_is_to_pause_while_it_sets_out_is_not_taken_for_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Order] = []
+    begun, through, stands = threading.Event(), threading.Event(), threading.Event()
+
+    def late(rws: object) -> None:
+        begun.set()
+        through.wait(5.0)
+        stands.clear()
+
+    def none() -> None:
+        raise LinkError("no subscription")
+
+    rws = SimpleNamespace(running=lambda seconds: not stands.is_set(), subscribe=none, close=lambda: None)
+    rws.again = lambda: rws
+    monkeypatch.setattr("planner.link.robot.WATCH_TIME", 0.01)
+    monkeypatch.setattr("planner.link.robot.start", late)
+    monkeypatch.setattr("planner.link.robot.stop_robot", lambda rws: stands.set())
+    watch = RobotWatch(rws, asked.append, lambda: False)  # type: ignore[arg-type]
+    watch.pause()
+    until(lambda: asked != [])
+    watch.go_on()
+    begun.wait(5.0)
+    watch.pause()
+    through.set()
+    until(lambda: len(asked) > 2)
+    time.sleep(0.1)  # some looks that would tell of a stop
+    assert asked == [RobotStands(), RobotMoves(), RobotStands()]
+    watch.stop("over")
+    assert watch.close() is None
 
 
 @pytest.mark.slow

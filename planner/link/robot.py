@@ -268,6 +268,7 @@ class RobotWatch:
     def _pause(self) -> None:
         if self._over.is_set():
             return
+        self._paused.set()  # once more: it may have been going on when it was asked to pause
         wrong = stop_robot(self._rws)
         if wrong is None:
             self._stands.set()
