@@ -49,7 +49,7 @@ def outcome_of(lines: ProgramLines, path: Path) -> RunOutcome:
         ended = ended or what == "end"
     if not max(received, sent, acknowledged) == received or not acknowledged <= sent <= acknowledged + 1:
         raise InputError("lines were acknowledged that were not sent", file=path, hint="it is no whole log of one run")
-    if reason is None and acknowledged < len(lines):
+    if reason is None and not (ended and acknowledged == len(lines)):
         reason = UNSAID
     return RunOutcome(reason, lines.position(acknowledged, received + (1 if ended else 0)), sent, reason is None)
 
