@@ -16,12 +16,13 @@ import pytest
 from link_ends import program
 from link_servers import BoardEnd, ControllerEnd
 
-from planner.base.errors import OutputError
+from planner.base.errors import EXIT_INTERRUPTED, OutputError
 from planner.link import relay as patience
 from planner.link import relay as relay_module
+from planner.link.command import _code
 from planner.link.orders import ContinueOrder, PauseOrder, ReprimeOrder, RobotMoves, RobotStands
 from planner.link.relay import Effect, Relay, RelaySide, RelayState, RunOutcome, RunStatus
-from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, signals_as
+from planner.link.run import INTERRUPTIONS, Log, RelayRun, Requests, signals_as
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
@@ -176,7 +177,7 @@ def test_ctrl_c_stops_both_sides(tmp_path: Path, number: signal.Signals) -> None
         outcome = session.run()
     assert signal.getsignal(number) is before
     check(session, outcome)
-    assert outcome.reason == (INTERRUPTED if number is signal.SIGINT else "this program was told to end")
+    assert outcome.reason == INTERRUPTIONS[number.name] and _code(outcome) == EXIT_INTERRUPTED
     assert session.controller.core.stopped and board.core.plain == ["M106 P0 S0"] and outcome.safe
 
 

@@ -47,7 +47,7 @@ from planner.link.robot import (
     start,
     stop_robot,
 )
-from planner.link.run import INTERRUPTED, Log, RelayRun, Requests, open_board, signals_as
+from planner.link.run import INTERRUPTIONS, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
 from planner.link.telling import RunProgress, Show, ending, going_on
 
@@ -232,7 +232,7 @@ def _besides(outcome: RunOutcome, trouble: str | None) -> list[str]:
 def _code(outcome: RunOutcome) -> int:
     if outcome.reason is None:
         return EXIT_VERIFIED
-    return EXIT_INTERRUPTED if outcome.reason == INTERRUPTED else EXIT_NOT_VERIFIED
+    return EXIT_INTERRUPTED if outcome.reason in INTERRUPTIONS.values() else EXIT_NOT_VERIFIED
 
 
 def _rws(options: argparse.Namespace, secret: Secret) -> Rws:

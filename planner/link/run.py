@@ -149,7 +149,11 @@ def _read(made: socket.socket, seconds: float, until: bytes | None = None) -> by
 MOST_UNREAD = 4096  # bytes that a side may leave unread before it counts as lost
 LINGER_TIME = 1.0  # s that the last words have to arrive
 LOOK_TIME = 0.25  # s between looks at the progress
-INTERRUPTED = "interrupted from the keyboard"
+INTERRUPTIONS = {  # names of signals → why they end the run
+    "SIGINT": "interrupted from the keyboard",
+    "SIGTERM": "this program was told to end",
+    "SIGHUP": "the terminal was closed",
+}
 
 
 class Requests:
@@ -189,9 +193,7 @@ def signals_as(requests: Requests) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # only the main thread may set signal handlers
         return
-    reasons = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: "this program was told to end"}
-    if hasattr(signal, "SIGHUP"):
-        reasons[signal.SIGHUP] = "the terminal was closed"
+    reasons = {getattr(signal, name): why for name, why in INTERRUPTIONS.items() if hasattr(signal, name)}
     before = {
         number: signal.signal(number, lambda n, _: requests.ask(StopOrder(reasons[signal.Signals(n)])))
         for number in reasons
