@@ -21,7 +21,7 @@ from planner.link import relay as patience
 from planner.link import relay as relay_module
 from planner.link.command import _code
 from planner.link.orders import ContinueOrder, PauseOrder, ReprimeOrder, RobotMoves, RobotStands
-from planner.link.relay import Effect, Relay, RelaySide, RelayState, RunOutcome, RunStatus
+from planner.link.relay import Effect, LogNote, Relay, RelaySide, RelayState, RunOutcome, RunStatus
 from planner.link.run import INTERRUPTIONS, Log, RelayRun, Requests, signals_as
 
 PROGRAM = program()
@@ -233,6 +233,16 @@ def test_a_log_that_cannot_be_written_stops_the_run(tmp_path: Path, monkeypatch:
     outcome = session.run()
     assert outcome.reason == "the log cannot be written: No space left on device"
     assert session.controller.core.stopped and session.board.core.plain == ["M106 P0 S0"]
+
+
+def test_a_log_that_cannot_be_begun_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(file: int, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched, pytest.raises(OutputError, match=r"cannot write .*: No space left"):
+        patched.setattr(os, "write", full)
+        Log(tmp_path / "log.jsonl", first=[LogNote("board", 0, "FIRMWARE_NAME: some")])
+    assert not (tmp_path / "log.jsonl").exists()
 
 
 @pytest.mark.parametrize("where", ["received", "tick"])

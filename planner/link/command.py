@@ -115,8 +115,8 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             return EXIT_VERIFIED
         requests = stack.enter_context(closing(Requests()))
         hub = stack.enter_context(_hub(options, lines, problem, requests, say))
-        log = stack.enter_context(closing(Log(options.log or _log_path(options.program), hub.log)))
-        log.write([LogNote("board", 0, text) for text in greeting])
+        greeted = [LogNote("board", 0, text) for text in greeting]
+        log = stack.enter_context(closing(Log(options.log or _log_path(options.program), hub.log, greeted)))
         with _way(options, secret) as way:
             bring(rws, files, hub.say, way)
         with _stopping(rws, options.socket) as started:

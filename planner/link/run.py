@@ -42,16 +42,29 @@ class Log:
     """Records with UTC and a steady clock [ms]. Each is with the system before anything follows from it, so that a crash
     of this program loses none; `close` waits until they are on the disk.
 
+    first what it begins with
     seen  gets the same records, once they are written
     """
 
-    def __init__(self, path: Path, seen: Callable[[Sequence[LogNote]], None] = lambda notes: None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        seen: Callable[[Sequence[LogNote]], None] = lambda notes: None,
+        first: Sequence[LogNote] = (),
+    ) -> None:
+        """Raises OutputError where there is such a file already, or none can be written."""
         self.path, self._seen = path, seen
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND, 0o644)
         except FileExistsError:
             raise OutputError(f"{path} is there already, and stays as it is: name another with --log") from None
         except OSError as error:
+            raise OutputError(f"cannot write {path}: {error.strerror}") from None
+        try:
+            self.write(first)
+        except OSError as error:  # a disk that is full still takes its name
+            os.close(self._file)
+            path.unlink(missing_ok=True)
             raise OutputError(f"cannot write {path}: {error.strerror}") from None
 
     def write(self, notes: Sequence[LogNote]) -> None:
