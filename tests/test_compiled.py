@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numba.core import errors
+from numba.core.caching import IndexDataCacheFile
 
-from planner.base.compiled import call_at, njit
+from planner.base.compiled import call_at, njit, was_compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -86,6 +88,19 @@ TAKEN = """
 import kinds, caller
 print(caller.outer(kinds.Outer(kinds.{0}(2.0))), sum(caller.outer.stats.cache_hits.values()))
 """
+
+
+def test_code_of_what_a_kernel_was_before_does_not_count(tmp_path: Path) -> None:
+    def kernel(content: str) -> SimpleNamespace:
+        file = IndexDataCacheFile(str(tmp_path), "outer", "")
+        file._version = content
+        return SimpleNamespace(_cache=SimpleNamespace(_cache_file=file))
+
+    assert not was_compiled(kernel("as it is"))
+    kernel("as it is")._cache._cache_file.save("types", "code")
+    assert was_compiled(kernel("as it is"))
+    assert not was_compiled(kernel("as it was"))
+    assert not was_compiled(SimpleNamespace())  # without a cache
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -220,39 +219,35 @@ class _Listener(event.Listener):
     def __init__(self, begun: Callable[[int, float], Callable[[int], None]]) -> None:
         self._begun = begun
         self._told: Callable[[int], None] | None = None
-        self._missing: list[str] = []
-        self._compiled = 0
+        self._missing: list[Any] = []
+        self._count = self._compiled = 0
 
     def on_start(self, event: Any) -> None:
         if self._told is None and _is_ours(event.data["dispatcher"]):
             self._missing = _not_there()
-            count = len(self._missing)
+            self._count = count = len(self._missing)
             self._told = self._begun(count, count * SECONDS_A_KERNEL) if count >= WORTH_TELLING else lambda _: None
 
     def on_end(self, event: Any) -> None:
         if self._told is not None and _is_ours(event.data["dispatcher"]):
             self._compiled += 1
-            self._told(max(self._compiled, sum(os.path.exists(index) for index in self._missing)))
+            self._missing = [kernel for kernel in self._missing if not was_compiled(kernel)]
+            self._told(max(self._compiled, self._count - len(self._missing)))
 
 
 def was_compiled(kernel: Any) -> bool:
-    """Whether numba's cache has a kernel, for whatever types."""
-    return os.path.exists(_index(kernel))
+    """Whether numba's cache has a kernel of what it is made of now, for whatever types."""
+    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
+    return file is not None and bool(file._load_index())  # which is empty where it is of something else, see `_stamp`
 
 
-def _not_there() -> list[str]:
-    """Of each kernel of the modules that are loaded that has nothing in numba's cache, the file that would list it."""
+def _not_there() -> list[Any]:
+    """Kernels of the modules that are loaded of which numba's cache has nothing."""
     modules = [module for name, module in list(sys.modules.items()) if name.startswith("planner.")]
     kernels = {id(value): value for module in modules for value in vars(module).values() if _is_ours(value)}
-    return [_index(kernel) for kernel in kernels.values() if not was_compiled(kernel)]
+    return [kernel for kernel in kernels.values() if not was_compiled(kernel)]
 
 
 def _is_ours(value: Any) -> bool:
     function = getattr(value, "py_func", None)
     return getattr(function, "__module__", "").startswith("planner.")
-
-
-def _index(kernel: Any) -> str:
-    """The file in which numba lists what it has compiled of a kernel; empty where it keeps nothing."""
-    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    return str(getattr(file, "_index_path", ""))
