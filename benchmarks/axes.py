@@ -22,7 +22,7 @@ from rich.table import Table
 
 from benchmarks.memory import Peak
 from benchmarks.peer_cases import cap, waypoint_text
-from benchmarks.rows import Row, Run, append_row, row_of_plan, row_without_plan
+from benchmarks.rows import Row, Run, append_row, check_columns, row_of_plan, row_without_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
@@ -115,6 +115,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table("free", "axes", "verified", *(name for name, _ in FIGURES), title=f"{options.waypoints} waypoints")
     n = len(CASES)
     try:
+        if options.out is not None:
+            check_columns(options.out)
         with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
             rows = pool.map(measure, CASES, [options.waypoints] * n, [options.strategy] * n)
             for axes, row in zip(CASES, rows, strict=True):

@@ -185,14 +185,18 @@ def line_of(values: Sequence[Value]) -> str:
     return line.getvalue()
 
 
+def check_columns(file: Path) -> None:
+    """Raise InputError where rows cannot be appended to a file, which has other columns."""
+    if header_of(file) not in (None, COLUMNS):
+        raise InputError("has other columns than this version writes", file=file, line=1, hint="give another file")
+
+
 def append_row(file: Path, row: Mapping[str, Value]) -> None:
     """Append a row in one write, after a header where the file is new, in place of a last line that was torn.
 
     Raises InputError where the file has other columns, OutputError where it cannot be written.
     """
-    columns = header_of(file)
-    if columns not in (None, COLUMNS):
-        raise InputError("has other columns than this version writes", file=file, line=1, hint="give another file")
+    check_columns(file)
     text = line_of([row[name] for name in COLUMNS])
     try:
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from benchmarks.named import all_problems, coarse, load_named
-from benchmarks.rows import KEY, Row, Run, append_row, key_of, read_rows, row_without_plan
+from benchmarks.rows import KEY, Row, Run, append_row, check_columns, key_of, read_rows, row_without_plan
 from benchmarks.single import Job, beadwise, run_apart
 from benchmarks.usage import commit, machine
 from planner.base.command_line import exit_code, one_of
@@ -146,7 +146,12 @@ def carry_out(runs: Sequence[Run], options: argparse.Namespace) -> None:
 
 
 def fill(work: Callable[[Item], Row], items: Sequence[Item], runs: Sequence[Run], options: argparse.Namespace) -> None:
-    """Append to the table what work makes of each item, as it is done; runs: what stands for an item that is lost."""
+    """Append to the table what work makes of each item, as it is done; runs: what stands for an item that is lost.
+
+    Raises InputError, before anything is done, for a table with other columns.
+    """
+    if items:
+        check_columns(options.out)
     for number, (i, done) in enumerate(spread(work, items, options.jobs, options.scheduler), 1):
         row = row_without_plan(runs[i], f"lost: {done}", {}) if isinstance(done, PlannerError) else done
         append_row(options.out, row)

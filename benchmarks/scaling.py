@@ -24,7 +24,7 @@ from rich.table import Table
 
 from benchmarks.memory import Peak
 from benchmarks.peer_cases import waypoint_text
-from benchmarks.rows import Row, Run, append_row, row_of_plan
+from benchmarks.rows import Row, Run, append_row, check_columns, row_of_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
 from planner.base.errors import EXIT_VERIFIED, PlannerError
@@ -120,6 +120,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table("waypoints", *SHOWN, "all [s]", "CPU s", "MB", "verified", title=options.strategy)
     done: list[Row] = []
     try:
+        if options.out is not None:
+            check_columns(options.out)
         with ProcessPoolExecutor(
             1, get_context("spawn"), max_tasks_per_child=1
         ) as pool:  # each has a peak memory of its own

@@ -210,6 +210,17 @@ def test_what_is_no_table_is_told_by_line(tmp_path: Path) -> None:
         read_rows(file)
 
 
+def test_a_table_of_an_older_version_is_told_before_anything_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, asked = tmp_path / "runs.csv", []
+    file.write_text(",".join(KEY) + "\n", encoding="utf-8")
+    monkeypatch.setattr(run, "run_apart", asked.append)
+    assert read_rows(file) == []
+    assert ran("--out", str(file)) == EXIT_INPUT and asked == []
+    assert "runs.csv:1: has other columns than this version writes" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -25,7 +25,7 @@ from benchmarks.peers.judge import PATH_COLUMNS
 from benchmarks.peers.one import JOINTS, ROW, WARM
 from benchmarks.peers.peer_list import PEERS, Peer
 from benchmarks.peers.watch import Ended, watched
-from benchmarks.rows import COLUMNS, Row, Run, append_row, make_row, times
+from benchmarks.rows import COLUMNS, Row, Run, append_row, check_columns, make_row, times
 from benchmarks.single import beadwise
 from benchmarks.summary import ALONE, CHOSEN, OURS
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
@@ -124,6 +124,7 @@ def _case(
         if (key, name) in done:
             continue
         if ready is None:
+            check_columns(options.out / results.ROWS_FILE)
             ready = given(CASES[key], folder)
             _one(WARM, key, folder, (math.inf, limits[1]))  # a fresh checkout compiles for longer than a run may take
         if name in PEERS and PEERS[name].table_only and not _table(ready):
