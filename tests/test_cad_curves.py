@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,10 +28,13 @@ from solved import solve_alone
 
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
+from planner.problem.cad_files import asked
 from planner.problem.curve_files import read_curves
 from planner.problem.drawings import CurveSpec
+from planner.problem.part import StepSpec
 from planner.toolpath.nurbs import nurbs_paths
 from planner.verify.reread.plane_curves import NotRead, _nurbs_file
+from planner.verify.reread.step_faces import meshed_faces
 from planner.verify.verdict import verify
 
 KINDS = ("step", "igs", "inches")
@@ -266,6 +273,24 @@ def test_a_verifier_that_cannot_read_the_file_says_so(tmp_path: Path) -> None:
     box = written(BRepPrimAPI_MakeBox(10.0, 10.0, 10.0).Shape(), tmp_path)
     assert _nurbs_file(box) == NotRead("curves.step: it holds no curve")
     assert isinstance(_nurbs_file(written(compound(*slot()), tmp_path, "igs")), tuple)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals as on Linux and macOS")
+def test_a_reader_that_is_killed_tells_nothing_about_its_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "part.step"
+    path.write_bytes(b"ISO-10303-21;\nEND-ISO-10303-21;\n")
+    part = StepSpec.model_construct(file=path, normals="outward", origin=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))
+    done = SimpleNamespace(returncode=-signal.SIGKILL, stdout=b"")
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
+    with pytest.raises(InputError, match=r"part\.step cannot be read: .* no memory left"):
+        asked("any", {}, "part.step", complain)
+    for found in (_nurbs_file(path), meshed_faces(part, "all")):
+        assert isinstance(found, NotRead) and "no memory left" in found.why
+    done.returncode = -signal.SIGSEGV
+    with pytest.raises(InputError, match=r"part\.step is damaged"):
+        asked("any", {}, "part.step", complain)
+    assert _nurbs_file(path) == NotRead("part.step: it cannot be read")
+    assert meshed_faces(part, "all") == NotRead("Open CASCADE ends while it reads or meshes the file")
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -22,10 +23,17 @@ from planner.base.signals import end_with_parent
 _ROOT = Path(__file__).resolve().parents[2]  # from where modules are found, whatever the present folder
 
 
+class Killed(Exception):
+    """The process that was asked was ended from outside, which tells nothing about what it was asked."""
+
+    def __init__(self) -> None:
+        super().__init__("what reads it was ended by the system, as where there is no memory left")
+
+
 def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, Any] | None:
     """What a module answers to a question, as arrays by their names; None where its process ends without an answer.
 
-    Raises subprocess.TimeoutExpired after `longest` [s]. The process ends with this one, however that ends.
+    Raises subprocess.TimeoutExpired after `longest` [s], and Killed. The process ends with this one, however that ends.
     """
     paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     done = subprocess.run(
@@ -36,6 +44,8 @@ def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, A
         env={**os.environ, "PYTHONPATH": paths},
         check=False,
     )
+    if done.returncode < 0 and -done.returncode == signal.SIGKILL:
+        raise Killed
     if done.returncode != 0:
         return None
     with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:

@@ -14,7 +14,7 @@ from planner.base.arrays import Array, Ints
 from planner.base.budgets import STEP_BYTES
 from planner.base.errors import Complaint
 from planner.base.files import read_bytes
-from planner.base.isolated import ask
+from planner.base.isolated import Killed, ask
 
 LARGEST_FILE = STEP_BYTES.most
 LONGEST = 300  # s that a file may take
@@ -129,6 +129,8 @@ def asked(module: str, request: dict[str, Any], name: str, where: Complaint) -> 
         raise where(
             f"{name} takes more than {LONGEST} s to be read", hint="export the part without its details"
         ) from None
+    except Killed as killed:
+        raise where(f"{name} cannot be read: {killed}", hint="export the part without its details") from None
     if answer is None:
         raise damaged
     return answer

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.isolated import ask
+from planner.base.isolated import Killed, ask
 from planner.problem.cad_files import is_cad, is_iges
 from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec, SvgSpec
 
@@ -273,6 +273,8 @@ def _cad_file(path: Path) -> Curves | NotRead:
         found = ask("planner.verify.reread.curve_process", request, _LONGEST)
     except subprocess.TimeoutExpired:
         found = None
+    except Killed as killed:
+        return NotRead(f"{path.name}: {killed}")
     if found is None or "reason" in found:
         return NotRead(f"{path.name}: {'it cannot be read' if found is None else found['reason']}")
     return tuple(found[str(k)] * 1e-3 for k in range(len(found)))

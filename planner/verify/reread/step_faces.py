@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints
-from planner.base.isolated import ask
+from planner.base.isolated import Killed, ask
 from planner.problem.part import StepSpec
 from planner.verify.bodies import triangle_model
 from planner.verify.reread.plane_curves import NotRead
@@ -107,7 +107,10 @@ def _middles(count: int) -> Array:
 def meshed_faces(spec: StepSpec, faces: Sequence[int | str] | str) -> MeshedFaces | NotRead:
     """Faces of a file by their names and numbers, as triangles. Raises OSError for a file that is not there."""
     stamp = spec.file.stat()
-    return _meshed(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
+    try:
+        return _meshed(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
+    except Killed as killed:
+        return NotRead(str(killed))
 
 
 @lru_cache(maxsize=2)
