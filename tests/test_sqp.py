@@ -16,8 +16,9 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem import Problem, load_problem
 from planner.resolve.cone_kernels import FACETS
+from planner.resolve.guides import runs_backwards
 from planner.resolve.joint_path import JointPath, postures
-from planner.resolve.ladder import ladder, runs_backwards
+from planner.resolve.ladder import ladder
 from planner.resolve.price_kernels import (
     allowed,
     lost,

@@ -19,7 +19,7 @@ from planner.place.rating import Course, Rating, courses_of, rate, score
 from planner.place.search import Axis, Point
 from planner.planning.context import check_same, digest_of
 from planner.problem import Problem, load_problem
-from planner.resolve.ladder import first_of_each_name
+from planner.resolve.guides import guides_of
 from planner.resolve.strategies import UNAWARE
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -303,7 +303,7 @@ def site_of(asked: StudyRequest, problem: Problem, cell: Cell, axes: Sequence[Ax
     toolpath = build_toolpath(problem)
     strategy = asked.strategy or problem.strategy
     around = surroundings(strategy, problem, cell, toolpath)
-    guides = tuple(first_of_each_name(tasks_of(problem, toolpath)))
+    guides = tuple(guides_of(tasks_of(problem, toolpath))[0])
     return Site(problem, cell, place_of(problem), tuple(axes), strategy, toolpath, around, guides)
 
 

@@ -12,6 +12,7 @@ from planner.base.arrays import Array
 from planner.base.distribution import Spread
 from planner.base.errors import PlannerError
 from planner.planning.context import PlanningContext, context_elsewhere, digest_of, found_anywhere
+from planner.resolve.guides import stacks_of
 from planner.resolve.joint_path import JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.sqp import Priced, given_prices, refine_beads, refine_paths, sigma_floor
@@ -48,18 +49,16 @@ def sqp_over(over: Spread, given: PlanningContext) -> tuple[JointPath, ...]:
 
 def pieces_of(paths: Sequence[JointPath]) -> list[list[int]]:
     """Indices of the beads of each piece, in their order: chains, the long ones first, several short ones together."""
-    chains: dict[str, list[int]] = {}
-    for i, path in enumerate(paths):
-        chains.setdefault(path.task.name, []).append(i)
-    size = {name: sum(len(paths[i].task) for i in chain) for name, chain in chains.items()}
+    chains = stacks_of([path.task for path in paths])
+    size = [sum(len(paths[i].task) for i in chain) for chain in chains]
     pieces: list[list[int]] = []
     room = 0
-    for name in sorted(chains, key=lambda name: -size[name]):
+    for k in sorted(range(len(chains)), key=lambda k: -size[k]):
         if room <= 0:
             pieces.append([])
             room = LEAST
-        pieces[-1] += chains[name]
-        room -= size[name]
+        pieces[-1] += chains[k]
+        room -= size[k]
     return [sorted(piece) for piece in pieces]
 
 

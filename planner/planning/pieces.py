@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from planner.planning.context import PlanningContext
-from planner.resolve.ladder import MOST_NODES, coarse_nodes, first_of_each_name, runs_backwards
+from planner.resolve.guides import guides_of, runs_backwards
+from planner.resolve.ladder import MOST_NODES, coarse_nodes
 from planner.resolve.pauses import Pause, pauses_of
 from planner.toolpath.split import split_toolpath
 from planner.toolpath.task import NozzleTask
@@ -20,19 +21,17 @@ MORE_ROOM = (0.0, 0.3)  # rad, tried in turn: what a smooth path may wind furthe
 def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | None:
     """The same print with beads in pieces, as few as can be; None where none has to be cut, or where that does not help.
 
-    Beads that repeat in higher layers are cut where the first of them is. Joints that wind keep so much more room [rad]
+    Beads that repeat in higher layers are cut where the lowest of them is. Joints that wind keep so much more room [rad]
     from the ends of their ranges.
     """
     process = given.problem.process
     least = max(process.run_in, process.fibre.least_length if process.fibre is not None else 0.0)
-    guides = {task.name: task for task in first_of_each_name(given.tasks)}
-    pauses = {name: _pauses(given, task, least, more_room) for name, task in guides.items()}
-    places = {
-        task.bead: _places(task, guides[task.name], pauses[task.name]) for task in given.tasks if pauses[task.name]
-    }
-    if not places:
+    guides, of = guides_of(given.tasks)
+    pauses = [_pauses(given, guide, least, more_room) for guide in guides]
+    cut = [(task, guides[g], pauses[g]) for task, g in zip(given.tasks, of, strict=True) if pauses[g]]
+    if not cut:
         return None
-    toolpath = split_toolpath(given.toolpath, places)
+    toolpath = split_toolpath(given.toolpath, {task.bead: _places(task, guide, own) for task, guide, own in cut})
     if process.fibre is not None and min(bead.length for bead in toolpath.beads) < process.fibre.least_length:
         return None
     return given.along(toolpath)

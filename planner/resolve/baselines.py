@@ -12,9 +12,10 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell, Limits
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
+from planner.resolve.guides import guides_of
 from planner.resolve.infeasible import refuse_rung
 from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, at_rest, choose_turns, postures, upright
-from planner.resolve.ladder import coarse_nodes, first_of_each_name, paths_of
+from planner.resolve.ladder import coarse_nodes, paths_of
 from planner.resolve.nodes import Nodes
 from planner.resolve.prices import DIP_PRICE
 from planner.resolve.search import JUMP, SPEED_SHARE, LadderRoute, greedy_route, joint_limits
@@ -27,7 +28,7 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
 
     Best is what the ladder's prices add up to; beads that repeat from layer to layer share their choice.
     """
-    guides = first_of_each_name(tasks)
+    guides, of = guides_of(tasks)
     demand, nodes = coarse_nodes(cell, guides, settings)
     grid = nodes.grid
     totals = np.stack([_held_price(nodes, demand, cell.limits, i) for i in range(len(guides))])
@@ -41,13 +42,13 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         name = guides[i].name
         raise Refusal(f"no constant roll serves the whole of path {name!r} with any table angle", bead=guides[i].bead)
     roll = int(np.argmin(whole))
-    choice = {}
-    for i, guide in enumerate(guides):
+    choice = []
+    for i in range(len(guides)):
         best_pair = np.unravel_index(int(np.argmin(totals[i, roll])), totals.shape[2:])
-        choice[guide.name] = (int(best_pair[0]), int(best_pair[1]))
+        choice.append((int(best_pair[0]), int(best_pair[1])))
     paths = []
-    for task in tasks:
-        holder, branch = choice[task.name]
+    for task, guide in zip(tasks, of, strict=True):
+        holder, branch = choice[guide]
         n = len(task)
         rolls = np.full(n, roll * grid.roll_step)
         chosen = np.tile(at_rest(cell), (n, 1))

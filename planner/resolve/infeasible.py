@@ -139,12 +139,12 @@ def stuck_at(
     min_sigma: float,
     obstacles: Obstacles = NOTHING,
 ) -> Stuck:
-    """Where a search over these tasks ended, less the tasks that repeat another one in a higher layer."""
+    """Where a search over these tasks ended; of those of one name without those of other layers, which repeat them."""
     at = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
-    named: dict[str, int] = {tasks[at].name: at}
-    for k, task in enumerate(tasks):
-        named.setdefault(task.name, k)
-    kept = sorted(named.values())
+    layer = {tasks[at].name: tasks[at].layer}
+    for task in tasks:
+        layer.setdefault(task.name, task.layer)
+    kept = [k for k, task in enumerate(tasks) if task.layer == layer[task.name]]
     rungs = np.concatenate([np.arange(demand.task_rungs[k], demand.task_rungs[k + 1]) for k in kept])
     counts = [demand.task_rungs[k + 1] - demand.task_rungs[k] for k in kept]
     fewer = demand.only(rungs, [0, *np.cumsum(counts).tolist()])

@@ -14,6 +14,7 @@ from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import nozzles_of, with_each_nozzle
+from planner.resolve.guides import guides_of, runs_backwards
 from planner.resolve.infeasible import refuse_collision, refuse_rung
 from planner.resolve.joint_path import (
     MARGIN,
@@ -316,7 +317,7 @@ def ladder(
     """The best joint paths on the grid, over all beads together, travel included, and clear of obstacles.
 
     A first search over the whole coarse grid guides a second one, three times as fine, in a corridor around
-    it. Beads that repeat from layer to layer share the guide of the first of them.
+    it. Beads that repeat from layer to layer share the guide of the lowest of them.
     Raises Refusal where a bead cannot be followed.
     """
     refusal: Refusal | None = None
@@ -342,9 +343,8 @@ def _routes(
     cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec, obstacles: Obstacles
 ) -> Iterator[LadderRoute]:
     """Dense routes, one for each corridor that has any; Refusal where none has."""
-    guides = first_of_each_name(tasks)
+    guides, guide_of = guides_of(tasks)
     guide = guide_route(cell, guides, settings, obstacles, len(guides) / len(tasks))
-    guide_of = {task.name: i for i, task in enumerate(guides)}
     all_demand = sample_tasks(tasks, _rung(cell, tasks, settings, CORRIDORS[0][0]), _turn(cell, settings))
     any_route = False
     one_angle = guide.nodes.grid.holders == 1
@@ -369,7 +369,7 @@ def may_be_found(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec,
     times as long."""
     try:
         for own, which in nozzles_of(cell, tasks):
-            guides = first_of_each_name([tasks[i] for i in which])
+            guides, _ = guides_of([tasks[i] for i in which])
             guide_route(own, guides, settings, obstacles.for_nozzle(cell, own), len(guides) / len(which))
     except Refusal:
         return False
@@ -592,14 +592,6 @@ def _between_rungs(found: LadderRoute, demand: SampledTasks, k: int) -> Array:
     return out
 
 
-def first_of_each_name(tasks: Sequence[NozzleTask]) -> list[NozzleTask]:
-    """The first task of every name: those of the layers above repeat it."""
-    seen: dict[str, NozzleTask] = {}
-    for task in tasks:
-        seen.setdefault(task.name, task)
-    return list(seen.values())
-
-
 def coarse_nodes(
     cell: Cell,
     tasks: Sequence[NozzleTask],
@@ -636,12 +628,12 @@ def _corridor(
     demand: SampledTasks,
     guides: Sequence[NozzleTask],
     guide: LadderRoute,
-    guide_of: dict[str, int],
+    guide_of: Sequence[int],
     refine: int,
     roll_room: int,
     holder_room: int,
 ) -> Grid:
-    """A fine grid whose windows follow the guide route of the bead of the same name, either way round."""
+    """A fine grid whose windows follow the guide route of the bead that each repeats, either way round."""
     coarse, route = guide.nodes.grid, guide.route
     k = len(cell.chosen)
     chosen = guide.chosen(k)
@@ -650,7 +642,7 @@ def _corridor(
     branch = np.zeros((r, 1), dtype=np.int64)
     held = np.zeros((r, k))
     for i, task in enumerate(tasks):
-        g = guide_of[task.name]
+        g = guide_of[i]
         own, theirs = demand.rungs_of(i), guide.demand.rungs_of(g)
         backwards = runs_backwards(task, guides[g])
         flip = slice(None, None, -1 if backwards else 1)
@@ -679,15 +671,6 @@ def _corridor(
         coarse.swept,
         held,
     )
-
-
-def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
-    """Whether a task runs its guide's bead the other way (for a loop: turns the other way)."""
-    here, there = task.tip[task.first : task.last], guide.tip[guide.first : guide.last]
-    n = 64
-    a = here[np.linspace(0, len(here) - 1, n).astype(int)]
-    b = there[np.linspace(0, len(there) - 1, n).astype(int)]
-    return bool(((a - b[::-1]) ** 2).sum() < ((a - b) ** 2).sum())
 
 
 def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: LadderRoute) -> tuple[JointPath, ...]:

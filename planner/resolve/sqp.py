@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,8 +20,9 @@ from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.drawn import SLIGHT
+from planner.resolve.guides import runs_backwards, stacks_of
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
-from planner.resolve.ladder import ladder, runs_backwards
+from planner.resolve.ladder import ladder
 from planner.resolve.quadratic import solve_qp
 from planner.resolve.refine import QPSolver, bounded_cones, calmed, evaluate, evaluate_samples, refine_stretch
 from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, Term
@@ -172,7 +173,7 @@ def refine_beads(
 
     improve: of a window; by quadratic programs, with the solver of the settings, if it is not given
 
-    A bead does not depend on beads of other names. One that cannot be taken as a whole is refined again: with narrower
+    A bead depends on those beneath it alone. One that cannot be taken as a whole is refined again: with narrower
     ranges of joints that would leave theirs before they come to rest behind it, then in short windows, of which those are
     taken that keep what they kept.
     """
@@ -338,12 +339,10 @@ def _narrowed(model: Model, over: Array) -> Model:
     return replace(model, low=model.low + room, high=model.high - room)
 
 
-def _chains(paths: Sequence[JointPath], indices: Iterable[int]) -> list[list[int]]:
-    """Indices of beads that lie on each other, from below: those of the same name."""
-    chains: dict[str, list[int]] = {}
-    for i in indices:
-        chains.setdefault(paths[i].task.name, []).append(i)
-    return list(chains.values())
+def _chains(paths: Sequence[JointPath], indices: Container[int]) -> list[list[int]]:
+    """Of these indices those of beads that lie on each other, from below."""
+    stacks = stacks_of([path.task for path in paths])
+    return sorted(filter(None, ([i for i in stack if i in indices] for stack in stacks)))
 
 
 def free_variables(model: Model, path: JointPath) -> Array:

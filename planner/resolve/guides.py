@@ -1,0 +1,71 @@
+"""Beads that repeat others in higher layers: which ones they repeat, and which way round."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from planner.base.arrays import Array, Ints
+from planner.toolpath.task import NozzleTask
+
+_FEW = 5  # places along a bead by which the one that it lies nearest to is found among several
+_COMPARED = 64  # places of two beads that are compared
+
+
+def guides_of(tasks: Sequence[NozzleTask]) -> tuple[list[NozzleTask], list[int]]:
+    """The tasks that others repeat in higher layers, and for each task which of them (index) it is or repeats.
+
+    They are those of each name in the layer that has it first: one, or several where a path was cut into pieces, of which
+    a task repeats the one that it lies nearest to.
+    """
+    lowest: dict[str, int] = {}
+    for task in tasks:
+        lowest.setdefault(task.name, task.layer)
+    guides: list[NozzleTask] = []
+    below: dict[str, list[int]] = {}
+    above: dict[str, list[int]] = {}
+    of = [0] * len(tasks)
+    for i, task in enumerate(tasks):
+        if task.layer == lowest[task.name]:
+            of[i] = len(guides)
+            below.setdefault(task.name, []).append(len(guides))
+            guides.append(task)
+        else:
+            above.setdefault(task.name, []).append(i)
+    for name, those in above.items():
+        own = below[name]
+        which = _nearest([guides[g] for g in own], [tasks[i] for i in those]) if len(own) > 1 else [0] * len(those)
+        for i, k in zip(those, which, strict=True):
+            of[i] = own[k]
+    return guides, of
+
+
+def stacks_of(tasks: Sequence[NozzleTask]) -> list[list[int]]:
+    """Indices of tasks that lie on each other, from below, in the order of the lowest ones."""
+    guides, of = guides_of(tasks)
+    stacks: list[list[int]] = [[] for _ in guides]
+    for i, g in enumerate(of):
+        stacks[g].append(i)
+    return stacks
+
+
+def _nearest(lower: Sequence[NozzleTask], tasks: Sequence[NozzleTask]) -> list[int]:
+    """Which (index) of some lower tasks each task lies nearest to, either way round."""
+    there, here = (np.stack([_along(task, task.tip, _FEW) for task in each]) for each in (lower, tasks))
+    both = np.concatenate([there, there[:, ::-1]]).reshape(2 * len(lower), -1)
+    which: Ints = cKDTree(both).query(here.reshape(len(tasks), -1))[1] % len(lower)
+    return which.tolist()
+
+
+def _along(task: NozzleTask, values: Array, n: int) -> Array:
+    """Some (n) of a task's values (samples, ...) between the ends of what it lays."""
+    laid = values[task.first : task.last]
+    return laid[np.linspace(0, len(laid) - 1, n).astype(int)]
+
+
+def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
+    """Whether a task runs its guide's bead the other way (for a loop: turns the other way)."""
+    a, b = (_along(each, each.tip, _COMPARED) for each in (task, guide))
+    return bool(((a - b[::-1]) ** 2).sum() < ((a - b) ** 2).sum())
