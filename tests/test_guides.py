@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from planner.planning import pieces
 from planner.planning.distributed import pieces_of
+from planner.problem import Problem
 from planner.resolve.guides import guides_of, runs_backwards, stacks_of
 from planner.resolve.infeasible import stuck_at
 from planner.resolve.joint_path import JointPath, sample_tasks
 from planner.resolve.nodes import full_grid
-from planner.toolpath.task import NozzleTask
+from planner.resolve.pauses import Pause
+from planner.toolpath.bead import Toolpath
+from planner.toolpath.task import NozzleTask, make_tasks
 
 Array = NDArray[np.float64]
 STARTS = (0.0, 0.03, 0.031, 0.08, 0.2)  # m, along x, of the pieces of a layer
@@ -74,3 +80,26 @@ def test_what_is_tried_for_a_refusal_has_all_pieces_of_a_layer() -> None:
         assert len(stuck.tasks) == len(STARTS) + 1
         assert stuck.demand.rung[stuck.rung] == demand.rung[rung]
 
+
+def test_pieces_that_lie_on_each_other_have_one_name(
+    drawing_problem: Problem, toolpath: Toolpath, tasks: tuple[NozzleTask, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beads that pause at 30 % of their length, in layers of which the second one runs back."""
+
+    def paused(given: object, task: NozzleTask, *rest: float) -> tuple[Pause, ...]:
+        s = task.s
+        return (Pause(float(s[task.first] + 0.3 * (s[task.last] - s[task.first])), ""),)
+
+    monkeypatch.setattr(pieces, "_pauses", paused)
+    given: Any = SimpleNamespace(problem=drawing_problem, tasks=tasks, toolpath=toolpath, along=lambda cut: cut)
+    cut: Any = pieces.in_pieces(given, 0.0)
+    assert len(cut.beads) == 2 * len(toolpath.beads)
+    parts = make_tasks(cut, drawing_problem.process.speed, drawing_problem.process.run_in)
+    guides, of = guides_of(parts)
+    assert len(guides) == len(parts) // 2
+    for task, g in zip(parts, of, strict=True):
+        length, own = (float(each.s[each.last] - each.s[each.first]) for each in (guides[g], task))
+        assert own == pytest.approx(length, rel=0.05)
+        middle, other = (each.tip[(each.first + each.last) // 2] for each in (guides[g], task))
+        assert np.linalg.norm(middle - other) < 2e-3
+    assert any(runs_backwards(task, guides[g]) for task, g in zip(parts, of, strict=True))

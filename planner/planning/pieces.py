@@ -31,7 +31,9 @@ def in_pieces(given: PlanningContext, more_room: float) -> PlanningContext | Non
     cut = [(task, guides[g], pauses[g]) for task, g in zip(given.tasks, of, strict=True) if pauses[g]]
     if not cut:
         return None
-    toolpath = split_toolpath(given.toolpath, {task.bead: _places(task, guide, own) for task, guide, own in cut})
+    backwards = {task.bead for task, guide, _ in cut if runs_backwards(task, guide)}
+    places = {task.bead: _places(task, guide, own, task.bead in backwards) for task, guide, own in cut}
+    toolpath = split_toolpath(given.toolpath, places, backwards)
     if process.fibre is not None and min(bead.length for bead in toolpath.beads) < process.fibre.least_length:
         return None
     return given.along(toolpath)
@@ -50,11 +52,12 @@ def _pauses(given: PlanningContext, task: NozzleTask, least: float, more_room: f
     return pauses_of(cell, task, demand, nodes, least, room) or ()
 
 
-def _places(task: NozzleTask, guide: NozzleTask, pauses: Sequence[Pause]) -> list[tuple[float, str]]:
-    """Arc lengths [m] along a task's bead at which it pauses, and why, where its guide pauses at these."""
+def _places(task: NozzleTask, guide: NozzleTask, pauses: Sequence[Pause], backwards: bool) -> list[tuple[float, str]]:
+    """Arc lengths [m] along a task's bead at which it pauses, and why, where its guide, which it may run backwards, pauses
+    at these."""
     length, own = (each.s[each.last] - each.s[each.first] for each in (guide, task))
     shares = np.array([(pause.s - guide.s[guide.first]) / length for pause in pauses])
     words = [f"{pause.joint} would turn further than its range" if pause.joint else _BRANCH for pause in pauses]
-    if runs_backwards(task, guide):
+    if backwards:
         shares, words = 1.0 - shares[::-1], words[::-1]
     return [(float(share * own), why) for share, why in zip(shares, words, strict=True)]

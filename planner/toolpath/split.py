@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,10 +13,13 @@ from planner.toolpath.bead import Bead, Split, Surface, Toolpath
 _DRIFT = 0.02  # share of a bead's length by which its source's may be off up to a place
 
 
-def split_toolpath(toolpath: Toolpath, places: Mapping[int, Sequence[tuple[float, str]]]) -> Toolpath:
+def split_toolpath(
+    toolpath: Toolpath, places: Mapping[int, Sequence[tuple[float, str]]], backwards: Collection[int] = ()
+) -> Toolpath:
     """The toolpath with beads (by index) in pieces: places are arc lengths [m] in order, with why each is.
 
-    Pieces are named after their bead, and known in `splits`; the beads after them have higher numbers.
+    Pieces are named after their bead, and known in `splits`; the beads after them have higher numbers. Pieces of beads
+    that run `backwards` count from the end: those that lie on each other have the same name.
     """
     beads: list[Bead] = []
     splits: list[Split] = []
@@ -29,7 +32,8 @@ def split_toolpath(toolpath: Toolpath, places: Mapping[int, Sequence[tuple[float
                 splits.append(Split(len(beads), bead.name, bead.layer, float(bead.s[first]), places[k][j - 1][1]))
             origin.append(k)
             begin.append(float(bead.s[first]))
-            beads.append(bead if len(edges) == 2 else _piece(bead, first, last, j + 1))
+            number = len(edges) - 1 - j if k in backwards else j + 1
+            beads.append(bead if len(edges) == 2 else _piece(bead, first, last, number))
     surface = PiecewiseSurface(toolpath.surface, np.array(origin), np.array(begin))
     notes = (*toolpath.notes, *_notes(splits))
     return replace(toolpath, beads=tuple(beads), surface=surface, notes=notes, splits=tuple(splits))
