@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 from planner.planning import pieces
 from planner.planning.distributed import pieces_of
 from planner.problem import Problem
-from planner.resolve.guides import guides_of, runs_backwards, stacks_of
+from planner.resolve.guides import guides_of, runs_backwards, stacks_of, zeros_apart
 from planner.resolve.infeasible import stuck_at
 from planner.resolve.joint_path import JointPath, sample_tasks
+from planner.resolve.ladder import _corridor
 from planner.resolve.nodes import full_grid
 from planner.resolve.pauses import Pause
+from planner.resolve.search import LadderRoute, Route
 from planner.toolpath.bead import Toolpath
-from planner.toolpath.task import NozzleTask, make_tasks
+from planner.toolpath.task import NozzleTask, make_tasks, roll_zeros
 
 Array = NDArray[np.float64]
 STARTS = (0.0, 0.03, 0.031, 0.08, 0.2)  # m, along x, of the pieces of a layer
@@ -103,3 +105,69 @@ def test_pieces_that_lie_on_each_other_have_one_name(
         middle, other = (each.tip[(each.first + each.last) // 2] for each in (guides[g], task))
         assert np.linalg.norm(middle - other) < 2e-3
     assert any(runs_backwards(task, guides[g]) for task, g in zip(parts, of, strict=True))
+
+
+def over(normals: Array, turned: bool) -> NozzleTask:
+    """A line on a ball of 50 mm with these normals, roll counted from a zero that is carried along it."""
+    along = normals[:: -1 if turned else 1]
+    # with beads around the whole ball no axis is clear of all normals
+    (zero, *_) = roll_zeros([along, np.eye(3)])
+    frames = np.stack([zero, np.cross(-along, zero), -along], axis=-1)
+    tip = (0.05 + HEIGHT * turned) * along
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    return NozzleTask(0, "line", int(turned), tip, frames, s, 2, len(tip) - 3, 0.04)
+
+
+def test_beads_that_count_from_one_axis_are_not_apart_wherever_they_lie() -> None:
+    t = np.linspace(-1.0, 1.0, 200)
+    normals = [
+        np.column_stack([0.6 * t, 0.3 + 0.0 * t, 1.0 - 0.5 * t**2]),
+        np.column_stack([0.5 - 0.0 * t, 0.7 * t, 1.0 + 0.0 * t]),
+    ]
+    units = [each / np.linalg.norm(each, axis=1)[:, None] for each in normals]
+    one, other = (
+        NozzleTask(0, "line", 0, n, np.stack([zero, np.cross(-n, zero), -n], axis=-1), t, 0, 199, 0.04)
+        for n, zero in zip(units, roll_zeros(units), strict=True)
+    )
+    for backwards in (False, True):
+        assert zeros_apart(one, other, backwards) == 0.0
+
+
+def ball_line(which: str) -> Array:
+    t = np.linspace(0.0, 1.0, 200)
+    if which == "across an edge":
+        return np.column_stack([np.sin(0.5 * np.pi * t), 0.0 * t, np.cos(0.5 * np.pi * t)])
+    around = 2.0 * np.pi * t
+    polar = np.radians(40.0)
+    return np.column_stack(
+        [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.full(200, np.cos(polar))]
+    )
+
+
+@pytest.mark.parametrize(
+    ("which", "apart_deg"), [("across an edge", 90.0), ("a ring", 360.0 * (1.0 - np.cos(np.radians(40.0))))]
+)
+def test_a_layer_that_runs_back_is_searched_at_the_heading_of_the_one_below(which: str, apart_deg: float) -> None:
+    """Where each bead counts roll from a zero of its own, and where both count from the same."""
+    lower, upper = (over(ball_line(which), turned) for turned in (False, True))
+    assert runs_backwards(upper, lower)
+    assert abs(zeros_apart(upper, lower, True)) == pytest.approx(np.radians(apart_deg), abs=np.radians(1.0))
+    assert zeros_apart(lower, lower, False) == 0.0
+    demand, own = sample_tasks([lower], 5e-3), sample_tasks([lower, upper], 2e-3)
+    grid, r = full_grid(demand, 8, np.radians(15.0), 1.0, False), len(demand.rung)
+    roll = np.round(np.linspace(3.0, 7.0, r)).astype(np.int64)
+    none = np.zeros(r, dtype=np.int64)
+    nodes: Any = SimpleNamespace(grid=grid, scale=(0.0, 1.0))
+    cell: Any = SimpleNamespace(chosen=(), holder=())
+    route = LadderRoute(demand, nodes, Route(roll, none, none, 0.0))
+    fine = _corridor(cell, [lower, upper], own, [lower], route, [0, 0], 3, 4, 0)
+
+    def headings(task: NozzleTask, at: slice) -> Array:
+        """Directions of the nozzle's x in the middle of the corridor."""
+        frames = task.frames[np.round(own.place[at] * (len(task) - 1)).astype(int)]
+        angle = (fine.roll_from[at] + 4) * fine.roll_step
+        return np.cos(angle)[:, None] * frames[:, :, 0] + np.sin(angle)[:, None] * frames[:, :, 1]
+
+    below, above = headings(lower, own.rungs_of(0)), headings(upper, own.rungs_of(1))[::-1]
+    k = np.round(np.linspace(0, len(below) - 1, len(above))).astype(int)
+    assert np.degrees(np.arccos(np.clip((below[k] * above).sum(axis=1), -1.0, 1.0))).max() < 15.0

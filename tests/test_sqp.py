@@ -17,7 +17,7 @@ from planner.collision.scene import NOTHING, Obstacles
 from planner.problem import Problem, load_problem
 from planner.resolve.cone_kernels import FACETS
 from planner.resolve.guides import runs_backwards
-from planner.resolve.joint_path import JointPath, postures
+from planner.resolve.joint_path import JointPath, postures, rolled
 from planner.resolve.ladder import ladder
 from planner.resolve.price_kernels import (
     allowed,
@@ -524,6 +524,10 @@ def test_layers_start_from_the_one_below_either_way_round(setup_of: Callable[[st
             assert both.price < 0.8 * alone.price
             assert np.abs(both.q[:, -1] - alone.q[:, -1]).max() < np.pi
         np.testing.assert_array_equal(both.anchor, alone.anchor)
+        quarter = rolled(np.array([0.5 * np.pi]))[0]  # by which the zero of roll of the bead above stands elsewhere
+        task = replace(upper.task, frames=upper.task.frames @ quarter)
+        counted = replace(upper, task=task, roll=upper.roll - 0.5 * np.pi, tilt=upper.tilt @ quarter[:2, :2])
+        assert start_track(model, 2.5e-3, floor, counted, below).price < 0.8 * alone.price
         seen.add(runs_backwards(upper.task, lower.task))
         other = start_track(model, 2.5e-3, floor, replace(upper, branch=upper.branch ^ 1), below)
         assert other.price == alone.price  # of no use on another branch

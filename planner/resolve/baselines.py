@@ -12,7 +12,7 @@ from planner.base.geometry import TURN
 from planner.cell.cell import Cell, Limits
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
-from planner.resolve.guides import guides_of
+from planner.resolve.guides import guides_of, runs_backwards, zeros_apart
 from planner.resolve.infeasible import refuse_rung
 from planner.resolve.joint_path import MARGIN, JointPath, SampledTasks, at_rest, choose_turns, postures, upright
 from planner.resolve.ladder import coarse_nodes, paths_of
@@ -47,10 +47,11 @@ def fixed(cell: Cell, tasks: Sequence[NozzleTask], settings: ResolveSpec) -> tup
         best_pair = np.unravel_index(int(np.argmin(totals[i, roll])), totals.shape[2:])
         choice.append((int(best_pair[0]), int(best_pair[1])))
     paths = []
-    for task, guide in zip(tasks, of, strict=True):
-        holder, branch = choice[guide]
+    for task, g in zip(tasks, of, strict=True):
+        holder, branch = choice[g]
         n = len(task)
-        rolls = np.full(n, roll * grid.roll_step)
+        apart = zeros_apart(task, guides[g], runs_backwards(task, guides[g]))
+        rolls = np.full(n, roll * grid.roll_step + apart)
         chosen = np.tile(at_rest(cell), (n, 1))
         if cell.chosen and grid.swept is not None:
             chosen[:, grid.swept] = nodes.swept_at(holder)

@@ -1,4 +1,4 @@
-"""Beads that repeat others in higher layers: which ones they repeat, and which way round."""
+"""Beads that repeat others in higher layers: which ones they repeat, which way round, and how far their rolls are apart."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Flags, Ints
 from planner.toolpath.task import NozzleTask
 
 _FEW = 5  # places along a bead by which the one that it lies nearest to is found among several
 _COMPARED = 64  # places of two beads that are compared
+_ALIKE = np.radians(2.5)  # between zeros of roll: less is the difference of two beads' samples
+_IN_PLANE, _AHEAD = 1e-3, 0.25  # of an axis in a frame whose zero of roll points to it: least sine, see `roll_zeros`
 
 
 def guides_of(tasks: Sequence[NozzleTask]) -> tuple[list[NozzleTask], list[int]]:
@@ -69,3 +71,24 @@ def runs_backwards(task: NozzleTask, guide: NozzleTask) -> bool:
     """Whether a task runs its guide's bead the other way (for a loop: turns the other way)."""
     a, b = (_along(each, each.tip, _COMPARED) for each in (task, guide))
     return bool(((a - b[::-1]) ** 2).sum() < ((a - b) ** 2).sum())
+
+
+def zeros_apart(task: NozzleTask, guide: NozzleTask, backwards: bool) -> float:
+    """Angle [rad] by which roll counts from elsewhere in the guide, which a task may run backwards: what has to be added to
+    the guide's roll for the same heading. 0 where both count from the same.
+
+    Zeros that are carried along beads without turning stand at one angle all along, see `roll_zeros`.
+    """
+    if (_counted_from(task) & _counted_from(guide)).any():
+        return 0.0
+    own, theirs = (_along(each, each.frames, _COMPARED) for each in (task, guide))
+    zero = theirs[:: -1 if backwards else 1, :, 0]
+    x, y = ((own[:, :, k] * zero).sum() for k in (0, 1))
+    apart = float(np.arctan2(y, x))
+    return apart if abs(apart) > _ALIKE else 0.0
+
+
+def _counted_from(task: NozzleTask) -> Flags:
+    """Which axes of the part (3) a task's zero of roll points to, all along what it lays."""
+    x, y = (task.frames[task.first : task.last, :, k] for k in (0, 1))
+    return (x > _AHEAD).all(axis=0) & (np.abs(y) < _IN_PLANE).all(axis=0)

@@ -14,7 +14,7 @@ from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import nozzles_of, with_each_nozzle
-from planner.resolve.guides import guides_of, runs_backwards
+from planner.resolve.guides import guides_of, runs_backwards, zeros_apart
 from planner.resolve.infeasible import refuse_collision, refuse_rung
 from planner.resolve.joint_path import (
     MARGIN,
@@ -654,6 +654,9 @@ def _corridor(
         ):
             along = angles_along(coarse, index[theirs], period, 1.0)[flip]
             target[own] = np.round(refine * np.interp(at, there, along)).astype(np.int64) - room
+        if not binds_table(cell, demand.cones):  # there rolls are headings in the world
+            apart = zeros_apart(task, guides[g], backwards)
+            roll_from[own] += round(refine * apart / coarse.roll_step)
         for j in range(k):
             held[own, j] = np.interp(at, there, chosen[theirs][flip, j])
         branch[own] = route.branch[theirs][0]

@@ -20,7 +20,7 @@ from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.resolve.by_nozzle import with_each_nozzle
 from planner.resolve.drawn import SLIGHT
-from planner.resolve.guides import runs_backwards, stacks_of
+from planner.resolve.guides import runs_backwards, stacks_of, zeros_apart
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder
 from planner.resolve.quadratic import solve_qp
@@ -28,7 +28,7 @@ from planner.resolve.refine import QPSolver, bounded_cones, calmed, evaluate, ev
 from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, Term
 from planner.resolve.splines import LEAST_SAMPLES, Basis, Clock, basis_over, clock_of, knots_along
 from planner.resolve.terms import model_of, terms_of
-from planner.toolpath.task import NozzleTask
+from planner.toolpath.task import Cones, NozzleTask
 
 Improve = Callable[[Model, PathSegment, PathState], PathState]  # to a state that costs no more, on the same branch
 
@@ -405,15 +405,27 @@ def start_track(model: Model, knot: float, floor: float, path: JointPath, below:
         model, below = replace(model, obstacles=NOTHING), None
     best = evaluate(model, stretch, c, path.q, floor)
     if below is not None:
-        flip = slice(None, None, -1 if runs_backwards(task, below.task) else 1)
+        backwards = runs_backwards(task, below.task)
+        flip = slice(None, None, -1 if backwards else 1)
+        lower = _counted_from(below.c[flip], zeros_apart(task, below.task, backwards), task.cones)
         near = below.q[flip][np.round(np.linspace(0, len(below.q) - 1, n)).astype(int)]
-        turns = np.round((c[0] - below.c[flip][0]) / TURN) * TURN  # they were chosen for each bead
-        other = evaluate(model, stretch, below.c[flip] + turns, near, floor)
+        turns = np.round((c[0] - lower[0]) / TURN) * TURN  # they were chosen for each bead
+        other = evaluate(model, stretch, lower + turns, near, floor)
         if other is not None and (best is None or other.price < best.price):
             best = other
     if best is None:
         return SplinePath(task, path.branch, clock, basis, c, path.q, c, np.inf)
     return SplinePath(task, path.branch, clock, basis, best.c, best.q, c, best.price)
+
+
+def _counted_from(c: Array, back: float, cones: Cones) -> Array:
+    """Control values (k, m) of the same nozzle where roll and tilt count from a zero that stands so far [rad] back."""
+    out = c.copy()
+    out[:, ROLL] += back
+    if cones.tilt > 0.0:
+        cosine, sine = np.cos(back), np.sin(back)
+        out[:, TILT] = c[:, TILT] @ np.array([[cosine, sine], [-sine, cosine]])
+    return out
 
 
 def fit(basis: Basis, values: Array) -> Array:
