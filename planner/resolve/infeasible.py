@@ -368,7 +368,7 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
     i = int(demand.rung[rung]) - sum(len(t) for t in tasks[:k])
     na, nh, grid = len(cell.arm), len(cell.holder), nodes.grid
     angles = np.linspace(0.0, 2.0 * np.pi, _TRIED, endpoint=False)
-    roll, swept = (x.ravel() for x in np.meshgrid(angles, angles if cell.chosen else angles[:1], indexing="ij"))
+    roll, swept = (x.ravel() for x in np.meshgrid(angles, _swept_angles(cell, grid, angles), indexing="ij"))
     chosen = np.tile(grid.chosen(len(demand.rung), len(cell.chosen))[rung], (len(roll), 1))
     if cell.chosen and grid.swept is not None:
         zero, unit = nodes.scale
@@ -381,6 +381,17 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
     q = turned_to_middle(cell.limits, q)
     low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
     return _Tried(tasks[k], i, T, holder, redundant, q, ok, ok & ((q >= low) & (q <= high)).all(axis=2))
+
+
+def _swept_angles(cell: Cell, grid: Grid, angles: Array) -> Array:
+    """Of angles all round those of the swept joint, or as many within its range, where that is less than a turn."""
+    if not cell.chosen or grid.swept is None:
+        return angles[:1]
+    j = cell.chosen[grid.swept]
+    low, high = cell.limits.q_min[j], cell.limits.q_max[j]
+    if j in cell.limits.sliding or high - low >= 2.0 * np.pi:
+        return angles
+    return np.linspace(low, high, len(angles))
 
 
 def _beyond_ranges(

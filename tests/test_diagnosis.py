@@ -1,0 +1,42 @@
+"""Why there is no path: postures that are looked at are those that a search could have, and are judged as it judges them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from planner.cell.cell import Cell
+from planner.resolve.infeasible import _tried_at
+from planner.resolve.joint_path import SampledTasks, sample_tasks
+from planner.resolve.nodes import full_grid
+from planner.toolpath.task import NozzleTask
+
+Array = NDArray[np.float64]
+
+
+def coarse(demand: SampledTasks) -> Any:
+    """Nodes of a whole coarse grid that nobody has looked at."""
+    return SimpleNamespace(grid=full_grid(demand, 8, 0.5, 0.5, True), scale=(0.0, 1.0))
+
+
+def with_range(cell: Cell, joint: int, low: float, high: float) -> Cell:
+    limits = replace(cell.limits, q_min=cell.limits.q_min.copy(), q_max=cell.limits.q_max.copy())
+    limits.q_min[joint], limits.q_max[joint] = low, high
+    return replace(cell, limits=limits)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-1.5, 1.0), (2.0, 5.0), (-7.0, 7.0)])
+def test_a_table_is_looked_at_within_its_range(
+    cell: Cell, tasks: tuple[NozzleTask, ...], low: float, high: float
+) -> None:
+    demand = sample_tasks(tasks, 10e-3)
+    angles = _tried_at(with_range(cell, 6, low, high), tasks, demand, coarse(demand), 5).holder[:, 0]
+    if high - low < 2.0 * np.pi:
+        assert (angles.min(), angles.max()) == (low, high)
+    else:
+        assert np.ptp(angles) > 6.0
