@@ -14,7 +14,7 @@ from planner.cell.cell import Cell
 from planner.resolve.infeasible import _tried_at
 from planner.resolve.joint_path import SampledTasks, sample_tasks
 from planner.resolve.nodes import full_grid
-from planner.toolpath.task import NozzleTask
+from planner.toolpath.task import Cones, NozzleTask
 
 Array = NDArray[np.float64]
 
@@ -40,3 +40,20 @@ def test_a_table_is_looked_at_within_its_range(
         assert (angles.min(), angles.max()) == (low, high)
     else:
         assert np.ptp(angles) > 6.0
+
+
+@pytest.mark.parametrize(("cones", "share"), [(Cones(np.radians(45.0), np.radians(15.0)), 0.25), (Cones(), 1.0)])
+def test_the_nozzle_is_looked_at_as_it_leans_in_the_search(
+    cell: Cell, tasks: tuple[NozzleTask, ...], cones: Cones, share: float
+) -> None:
+    leaning = [replace(task, cones=cones) for task in tasks]
+    demand = sample_tasks(leaning, 10e-3)
+    rung = 5
+    tried = _tried_at(cell, leaning, demand, coarse(demand), rung)
+    R_world_part = cell.holder.poses(tried.holder)[:, :3, :3]
+    axis = (cell.T_world_base @ tried.T_base_flange @ cell.T_flange_nozzle)[:, :3, 2]
+    lean, normal = (
+        np.arccos(np.clip(z, -1.0, 1.0)) for z in (-axis[:, 2], R_world_part[:, 2] @ demand.normals[demand.rung[rung]])
+    )
+    assert normal.max() > np.radians(20.0)
+    np.testing.assert_allclose(lean, share * normal, rtol=0, atol=1e-6)

@@ -24,9 +24,12 @@ from planner.resolve.joint_path import (
     JointPath,
     SampledTasks,
     flange_poses,
+    leaned_on_part,
     postures,
     refuse_at,
+    rolled,
     spread,
+    turned_from,
     turned_to_middle,
     upright,
 )
@@ -87,8 +90,14 @@ class Stuck:
             rungs = self.demand.rungs_of(k)
             roll = angles_along(grid, route.roll[rungs], grid.rolls, grid.roll_step)
             n, places, branch = len(task), self.demand.place[rungs], int(route.branch[rungs][0])
+            rolls, angles, tilt = spread(roll, n, places), spread(chosen[rungs], n, places), upright(task)
+            first = int(self.demand.rung[rungs.start])
+            frames = self.demand.frames[first : first + n]
+            if self.demand.lean < 1.0 or not np.array_equal(frames, task.frames):
+                stand = leaned_on_part(cell, frames, angles[:, : len(cell.holder)], self.demand.lean)
+                rolls, tilt = turned_from(task.frames, stand @ rolled(rolls))
             try:
-                postures(cell, task, spread(roll, n, places), spread(chosen[rungs], n, places), branch)
+                postures(cell, task, rolls, angles, branch, tilt)
             except Refusal:
                 return False
         return True
@@ -373,8 +382,11 @@ def _tried_at(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, nod
     if cell.chosen and grid.swept is not None:
         zero, unit = nodes.scale
         chosen[:, grid.swept] = zero + unit * swept
-    spot = repeated(tasks[k], i, len(roll))
     holder = chosen[:, :nh]
+    frames = np.repeat(demand.frames[demand.rung[rung], None], len(roll), axis=0)
+    if demand.lean < 1.0:
+        frames = leaned_on_part(cell, frames, holder, demand.lean)
+    spot = replace(repeated(tasks[k], i, len(roll)), frames=frames)
     T = flange_poses(cell, spot, roll, upright(spot), holder)
     redundant = chosen[:, nh:] if cell.given else None
     q, ok = cell.inverse.solve(T, redundant)

@@ -107,6 +107,12 @@ def leaned(R_world_task: Array, share: float) -> Array:
     return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ R_world_task)
 
 
+def leaned_on_part(cell: Cell, frames: Array, holder: Array, share: float) -> Array:
+    """Orientations (n, 3, 3) in the part frame, leaned in the world as `leaned` does, with the holder's joints at (n, nh)."""
+    R_world_part = cell.holder.poses(holder)[:, :3, :3]
+    return np.asarray(np.swapaxes(R_world_part, 1, 2) @ leaned(R_world_part @ frames, share))
+
+
 def rolled(roll: Array) -> Array:
     """Rotations (n, 3, 3) about z by roll (n)."""
     out = np.zeros((len(roll), 3, 3))

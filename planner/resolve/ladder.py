@@ -23,7 +23,7 @@ from planner.resolve.joint_path import (
     at_rest,
     choose_turns,
     gone_along,
-    leaned,
+    leaned_on_part,
     least_cone,
     postures,
     refuse_at,
@@ -691,8 +691,7 @@ def paths_of(cell: Cell, tasks: Sequence[NozzleTask], found: LadderRoute) -> tup
         frames, tilt = demand.frames[offset : offset + n], upright(task)
         offset += n
         if task.cones.tilt > 0.0:
-            R_world_part = cell.holder.poses(angles[:, : len(cell.holder)])[:, :3, :3]
-            stand = np.swapaxes(R_world_part, 1, 2) @ leaned(R_world_part @ frames, demand.lean)
+            stand = leaned_on_part(cell, frames, angles[:, : len(cell.holder)], demand.lean)
             roll, tilt = turned_from(task.frames, stand @ rolled(roll))
         elif binds_table(cell, demand.cones):
             roll, _ = turned_from(task.frames, frames @ rolled(roll))
