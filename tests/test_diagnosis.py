@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from planner.base.errors import Refusal
 from planner.cell.cell import Cell
-from planner.resolve.infeasible import _tried_at
+from planner.collision.scene import NOTHING
+from planner.problem import Problem
+from planner.resolve.infeasible import _ALONG, Stuck, _finer_hints, _tried_at
 from planner.resolve.joint_path import SampledTasks, sample_tasks
+from planner.resolve.ladder import _with_one_joint
 from planner.resolve.nodes import full_grid
 from planner.toolpath.task import Cones, NozzleTask
 
@@ -57,3 +61,32 @@ def test_the_nozzle_is_looked_at_as_it_leans_in_the_search(
     )
     assert normal.max() > np.radians(20.0)
     np.testing.assert_allclose(lean, share * normal, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("rough", "told"), [(1.0, "15"), (2.0, "7.5")])
+def test_finer_steps_are_told_as_the_settings_have_them(
+    cell: Cell, tasks: tuple[NozzleTask, ...], monkeypatch: pytest.MonkeyPatch, rough: float, told: str
+) -> None:
+    monkeypatch.setattr(Stuck, "serves", lambda *_: _ALONG)
+    demand = sample_tasks(tasks, 10e-3)
+    grid = full_grid(demand, 8, np.radians(30.0), np.radians(30.0), True)
+    (hint,) = _finer_hints(Stuck(cell, tasks, demand, grid, 0, 0.1, NOTHING, rough))
+    assert hint.startswith(f"resolve: {{roll_step_deg: {told}, table_step_deg: {told}}}")
+
+
+@pytest.mark.parametrize(("most", "rough"), [(np.inf, 1), (1.0, 2)])
+def test_a_refusal_knows_that_steps_were_doubled(
+    drawing_problem: Problem, cell: Cell, tasks: tuple[NozzleTask, ...], monkeypatch: pytest.MonkeyPatch, most: float, rough: int
+) -> None:
+    told = []
+
+    def refuse(*given: Any) -> None:
+        told.append(given[-1])
+        raise Refusal("no way")
+
+    monkeypatch.setattr("planner.resolve.ladder.refuse_rung", refuse)
+    monkeypatch.setattr("planner.resolve.ladder.MOST_NODES", most)
+    settings = drawing_problem.resolve.model_copy(update={"min_sigma": 0.9})
+    with pytest.raises(Refusal):
+        _with_one_joint(cell, tasks[:1], settings, NOTHING, 1.0)
+    assert told == [rough]

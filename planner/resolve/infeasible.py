@@ -59,8 +59,8 @@ _HERE, _ALONG = 1, 2  # what a change gives: a posture at the place, or a path t
 
 @dataclass(frozen=True)
 class Stuck:
-    """Where a search ended: its tasks, demand and grid, the rung, the least singular value that it asked for, and what
-    was in its way."""
+    """Where a search ended: its tasks, demand and grid, the rung, the least singular value that it asked for, what was in
+    its way, and how many times as wide as the settings' the grid's steps are."""
 
     cell: Cell
     tasks: tuple[NozzleTask, ...]
@@ -69,6 +69,7 @@ class Stuck:
     rung: int
     min_sigma: float
     obstacles: Obstacles = NOTHING
+    rough: float = 1.0
 
     def serves(self, cell: Cell) -> int:
         """What a changed cell gives with the same search: 0 nothing, _HERE or _ALONG."""
@@ -147,6 +148,7 @@ def stuck_at(
     rung: int,
     min_sigma: float,
     obstacles: Obstacles = NOTHING,
+    rough: float = 1.0,
 ) -> Stuck:
     """Where a search over these tasks ended; of those of one name without those of other layers, which repeat them."""
     at = int(np.searchsorted(demand.task_rungs, rung, side="right") - 1)
@@ -159,7 +161,8 @@ def stuck_at(
     fewer = demand.only(rungs, [0, *np.cumsum(counts).tolist()])
     here = int(np.searchsorted(rungs, rung))
     held = None if grid.held is None else grid.held[rungs]
-    return Stuck(cell, tuple(tasks[k] for k in kept), fewer, replace(grid, held=held), here, min_sigma, obstacles)
+    own = tuple(tasks[k] for k in kept)
+    return Stuck(cell, own, fewer, replace(grid, held=held), here, min_sigma, obstacles, rough)
 
 
 def place_hints(stuck: Stuck, point: Array, missing: float | None = None) -> tuple[str, ...]:
@@ -178,12 +181,13 @@ def path_hints(stuck: Stuck, point: Array) -> tuple[str, ...]:
 
 def _finer_hints(stuck: Stuck) -> tuple[str, ...]:
     roll, table = stuck.grid.roll_step / _FINER, stuck.grid.holder_step / _FINER
-    if min(np.degrees(roll), np.degrees(table)) < _FINEST:
+    asked = np.degrees([roll, table]) / stuck.rough  # of the settings
+    if asked.min() < _FINEST:
         return ()
     if replace(stuck, grid=replace(stuck.grid, roll_step=roll, holder_step=table)).serves(stuck.cell) != _ALONG:
         return ()
     swept = len(stuck.cell.chosen) > 0 and stuck.grid.swept is not None
-    steps = {"roll_step_deg": f"{np.degrees(roll):g}"} | ({"table_step_deg": f"{np.degrees(table):g}"} if swept else {})
+    steps = {"roll_step_deg": f"{asked[0]:g}"} | ({"table_step_deg": f"{asked[1]:g}"} if swept else {})
     what = f"resolve: {{{', '.join(f'{key}: {value}' for key, value in steps.items())}}}"
     return (_change(_ALONG, (what, tuple((f"resolve.{key}", value) for key, value in steps.items()))),)
 
@@ -436,8 +440,11 @@ def refuse_rung(
     rung: int,
     min_sigma: float,
     obstacles: Obstacles = NOTHING,
+    rough: float = 1.0,
 ) -> NoReturn:
     """Raise the Refusal that says why no way leads to this rung: reach, limits, singularity or collision.
+
+    rough: how many times as wide as the settings' the grid's steps are
 
     With it come hints, found when they are asked for: changes that were tried and would help; and whether there may be a
     way nearer to the ends of joints' ranges, see `Refusal.near_ends`.
@@ -449,7 +456,7 @@ def refuse_rung(
     na, nh = len(cell.arm), len(cell.holder)
     grid = nodes.grid
 
-    stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles)
+    stuck = stuck_at(cell, tasks, demand, grid, rung, min_sigma, obstacles, rough)
 
     def refuse(
         reason: str,
@@ -479,7 +486,7 @@ def refuse_rung(
         if not away.any():
             beyond = _beyond_ranges(cell, tasks, demand, nodes, rung)
             if beyond is not None:  # here the path comes near to what stops it there
-                refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles)
+                refuse_rung(cell, tasks, demand, nodes, beyond, min_sigma, obstacles, rough)
             slides = any(j < na for j in cell.limits.sliding)
             slid = f" ({1e3 * room:g} mm of one that slides)" if slides else ""
             reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"

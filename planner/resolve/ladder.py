@@ -433,7 +433,8 @@ def _best_on(
     route, stuck = search.best(guides, share)
     route = route or search.wound
     if route is None:
-        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+        rough = max(round(grid.roll_step / settings.roll_step), 1)
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles, rough)
     return LadderRoute(demand, search.nodes, route)
 
 
@@ -558,7 +559,7 @@ def _first_look(
                 if route is not None:
                     return LadderRoute(demand, elsewhere.nodes, route)
     if best is None:
-        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles)
+        refuse_rung(cell, guides, demand, search.nodes, stuck, settings.min_sigma, obstacles, _ROUGH)
     return best
 
 
