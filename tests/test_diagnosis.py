@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from planner.base.errors import Refusal
-from planner.cell.cell import Cell
+from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
-from planner.problem import Problem
-from planner.resolve.infeasible import _ALONG, Stuck, _finer_hints, _tried_at
+from planner.problem import Problem, load_problem
+from planner.resolve.infeasible import _ALONG, Stuck, _finer_hints, _tried_at, refuse_rung
 from planner.resolve.joint_path import SampledTasks, sample_tasks
 from planner.resolve.ladder import _with_one_joint
 from planner.resolve.nodes import full_grid
@@ -76,7 +76,12 @@ def test_finer_steps_are_told_as_the_settings_have_them(
 
 @pytest.mark.parametrize(("most", "rough"), [(np.inf, 1), (1.0, 2)])
 def test_a_refusal_knows_that_steps_were_doubled(
-    drawing_problem: Problem, cell: Cell, tasks: tuple[NozzleTask, ...], monkeypatch: pytest.MonkeyPatch, most: float, rough: int
+    drawing_problem: Problem,
+    cell: Cell,
+    tasks: tuple[NozzleTask, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    most: float,
+    rough: int,
 ) -> None:
     told = []
 
@@ -90,3 +95,24 @@ def test_a_refusal_knows_that_steps_were_doubled(
     with pytest.raises(Refusal):
         _with_one_joint(cell, tasks[:1], settings, NOTHING, 1.0)
     assert told == [rough]
+
+
+def test_of_seven_axes_the_six_that_are_solved_for_are_too_singular() -> None:
+    bed = ["cell.positioner=null", "cell.bed_mm=[450, 0, 200]"]
+    cell = build_cell(
+        load_problem("cylinder_logo", ["cell.arm=panda", "cell.home_deg=[0, -30, 0, -120, 0, 100, 45]", *bed])
+    )
+    y = np.linspace(0.0, 0.03, 40)
+    tip = np.column_stack([0.0 * y, y, 0.0 * y])
+    tasks = [NozzleTask(0, "line", 0, tip, np.tile(np.diag([1.0, -1.0, -1.0]), (40, 1, 1)), y, 4, 35, 0.04)]
+    demand = sample_tasks(tasks, 10e-3)
+    nodes = coarse(demand)
+    nodes.price = np.full((len(demand.rung), 1, 1, 1), np.inf)
+    tried = _tried_at(cell, tasks, demand, nodes, 1)
+    inner = np.minimum(tried.q - cell.limits.q_min, cell.limits.q_max - tried.q)
+    away = tried.ok & (inner >= cell.limits.room).all(axis=2)
+    J = cell.arm.jacobians(tried.q[away])
+    seven, six = (np.linalg.svd(J[:, :, list(of)], compute_uv=False)[:, -1].max() for of in (range(7), cell.solved))
+    assert six < 0.98 * seven
+    with pytest.raises(Refusal, match=f"too close to a singularity: sigma at most {six:.4f}"):
+        refuse_rung(cell, tasks, demand, nodes, 1, 0.5 * (six + seven))

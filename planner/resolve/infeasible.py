@@ -491,7 +491,7 @@ def refuse_rung(
             slid = f" ({1e3 * room:g} mm of one that slides)" if slides else ""
             reason = f"every posture is within {np.degrees(room):.1g} deg of the end of a joint's range"
             refuse(reason + slid, tried.best(inner.min(axis=2)), ends=ends)
-        sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, cell.rails :], compute_uv=False)[:, -1]
+        sigma = np.linalg.svd(cell.arm.jacobians(q[away])[:, :, list(cell.solved)], compute_uv=False)[:, -1]
         if sigma.max() < min_sigma:
             reason = f"every posture is too close to a singularity: sigma at most {sigma.max():.4f}"
             merit = np.full(ok.shape, -np.inf)
