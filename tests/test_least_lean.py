@@ -16,7 +16,7 @@ from planner.base.errors import EXIT_INPUT, InputError
 from planner.cell.cell import Cell, build_cell
 from planner.planning.check_command import examine
 from planner.problem import Problem, load_problem
-from planner.resolve.least_lean import _least_way, check_cones, least_along, least_leans
+from planner.resolve.least_lean import LeastLean, _least_way, _too_narrow, check_cones, least_along, least_leans
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import Cones, NozzleTask, tasks_of
 
@@ -198,3 +198,16 @@ def test_what_verification_lets_pass_is_not_refused_and_runs_are_not_judged() ->
     half = len(task) // 2
     flatter = replace(task, first=0, last=half, cones=Cones(layer_gravity=float(lean[: half + 1].max())))
     check_cones(problem, cell, [flatter])
+
+
+@pytest.mark.parametrize(
+    ("nozzle", "named"),
+    [(25.0, "{layer_gravity_deg: 30.0, nozzle_gravity_deg: 30.0}"), (31.0, "{layer_gravity_deg: 30.0}")],
+)
+def test_a_cone_that_only_the_way_along_the_bead_breaks_is_named_too(nozzle: float, named: str) -> None:
+    problem, cell, (task,) = cap()
+    here, along = np.radians([22.0, 30.0])
+    cones = Cones(layer_gravity=np.radians(20.0), nozzle_gravity=np.radians(nozzle))
+    error = _too_narrow(problem, cell, cones, LeastLean(task, task.first, here, along))
+    assert named in (error.hint or "")
+    assert (error.field or "").endswith("layer_gravity_deg") and "the nozzle leans" not in error.reason

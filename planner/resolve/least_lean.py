@@ -60,12 +60,16 @@ def _too_narrow(problem: Problem, cell: Cell, cones: Cones, least: LeastLean) ->
     where = f"bead {task.bead}, layer {task.layer + 1}, path {task.name!r}, {task.s[i] * 1e3:.1f} mm along it"
     turned = [name for name, slides in zip(cell.holder.names, cell.holder.slides, strict=True) if not slides]
     however = f"at any angle of {' and '.join(turned)}" if turned else "and nothing turns the part"
-    values, said = {}, []
-    if least.here > cones.layer_gravity + TOLERANCE:
+    values, fields, said = {}, [], []
+    if least.along > cones.layer_gravity + TOLERANCE:
         values["layer_gravity_deg"] = least.along
+    if least.here > cones.layer_gravity + TOLERANCE:
+        fields.append("layer_gravity_deg")
         said.append(f"the layer leans from straight up by at least {np.degrees(least.here):.1f} deg here")
-    if least.here > cones.nozzle_gravity + cones.tilt + TOLERANCE:
+    if least.along > cones.nozzle_gravity + cones.tilt + TOLERANCE:
         values["nozzle_gravity_deg"] = least.along - cones.tilt
+    if least.here > cones.nozzle_gravity + cones.tilt + TOLERANCE:
+        fields.append("nozzle_gravity_deg")
         own = np.degrees(least.here - cones.tilt)
         said.append(f"the nozzle leans from straight down by at least {own:.1f} deg here")
     reason = f"{', and '.join(said)}, {however} ({where})"
@@ -76,7 +80,7 @@ def _too_narrow(problem: Problem, cell: Cell, cones: Cones, least: LeastLean) ->
     hint += ", ".join(f"{key}: {value:.1f}" for key, value in rounded.items()) + "}"
     if not set(cell.holder_robot.joint_names if cell.holder_robot else ()) <= set(cell.holder.names):
         hint += "; or more of cell.positioner.free"
-    return problem.error(f"process.cones.{next(iter(values))}", reason, hint)
+    return problem.error(f"process.cones.{fields[0]}", reason, hint)
 
 
 def least_lean(cell: Cell, tasks: Sequence[NozzleTask], enough: float) -> LeastLean | None:
