@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planner.base.errors import Refusal
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
-from planner.resolve.infeasible import _collision, _turned
+from planner.resolve.infeasible import _angles_around, _collision, _turned
 from planner.resolve.joint_path import JointPath, flange_poses
 from planner.resolve.ladder import coarse_nodes, ladder
 from planner.resolve.search import best_route
@@ -101,6 +101,13 @@ def test_a_held_axis_is_turned_with_the_part_where_it_stands_on_the_plate(free: 
     np.testing.assert_allclose(found.T_world_holder, turned.T_world_holder, rtol=0, atol=1e-12)
     rest = turned.home[None, len(turned.arm) :]
     np.testing.assert_allclose(found.holder.poses(rest), turned.holder.poses(rest), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("given", "low", "high"), [("[-30, 20]", -30.0, 15.0), ("[-400, 400]", -180.0, 180.0)])
+def test_a_held_axis_is_turned_within_the_range_that_the_problem_gives_it(given: str, low: float, high: float) -> None:
+    cell = build_cell(load_problem("cylinder_logo", [f"cell.limits={{tilt: {{range_deg: {given}}}}}"]))
+    angles = np.degrees(list(_angles_around(cell, "tilt", 0.0)))
+    assert (angles.min(), angles.max()) == pytest.approx((low, high))
 
 
 def test_the_tilt_that_is_named_is_the_least_that_has_a_posture(toolpath: Toolpath) -> None:

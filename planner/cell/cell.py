@@ -79,6 +79,7 @@ class Cell:
     carrier    what carries the arm, if anything does: in `arm_robot` it is one with the arm
     nozzles    all of them, where there are several; the cell is that of one of them, see `at`
     nozzle_of  which of them (index) lays each material, by name; in_use: whose cell this is
+    held_range least and greatest angle [rad], or place [m], that each held axis may have, by name
     moving_only  the controller has no external axes that stand: what holds the part is no station where all are held
     """
 
@@ -103,6 +104,7 @@ class Cell:
     nozzle_of: Mapping[str, int] = field(default_factory=dict)
     in_use: int = 0
     moving_only: bool = False
+    held_range: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def at(self, material: str) -> Cell:
         """The cell with the nozzle in use that lays a material: itself, where one lays all."""
@@ -343,13 +345,13 @@ def build_cell(problem: Problem) -> Cell:
 
     T_plate_part = np.eye(4)
     if spec.positioner is None:
-        holder_robot, held = None, {}
+        holder_robot, held, held_range = None, {}, {}
         T_world_holder_base = translation(np.asarray(spec.bed))
         T_world_holder_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.bed_rpy)
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 6)), T_world_holder_base)
     else:
         holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
-        held = _held(problem, spec.positioner, holder_robot, arm)
+        held, held_range = _held(problem, spec.positioner, holder_robot, arm)
         T_plate_part[:3, :3] = pin.rpy.rpyToMatrix(*spec.positioner.part_rpy)
         T_plate_part[:3, 3] = spec.positioner.part
         T_world_holder_base = _holder_base(spec.positioner, holder_robot)
@@ -405,6 +407,7 @@ def build_cell(problem: Problem) -> Cell:
         carrier=None if carried is None else carried.carrier,
         nozzles=nozzles if spec.nozzles else (),
         nozzle_of=_nozzle_of(problem),
+        held_range=held_range,
     )
 
 
@@ -437,9 +440,11 @@ def _nozzle_of(problem: Problem) -> dict[str, int]:
     return {name: names.index(spec.nozzle) for name, spec in problem.process.materials.items() if spec.nozzle}
 
 
-def _held(problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain) -> dict[str, float]:
-    """Angles [rad] and places [m] of the axes that are not free, by name; InputError for names and values that the robot
-    has not, within the ranges of `cell.limits` where these are given."""
+def _held(
+    problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
+    """Angles [rad] and places [m] of the axes that are not free, by name, and their ranges, those of `cell.limits` where these
+    are given; InputError for names and values that the robot has not."""
     axes, slides = robot.joint_names, dict(zip(robot.joint_names, robot.slides, strict=True))
     given = {"held_deg": spec.held, "held_mm": spec.held_mm, "home_deg": spec.home, "home_mm": spec.home_mm}
     for named, names in {"free": spec.free, **given}.items():
@@ -457,7 +462,7 @@ def _held(problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain) -> d
             if name not in spec.free:
                 hint = f"that of a held axis stands in {named.replace('home', 'held')}"
                 raise problem.error(f"cell.positioner.{named}.{name}", f"axis {name!r} is not free", hint)
-    out = {}
+    out, ranges = {}, {}
     for i, name in enumerate(axes):
         if name in spec.free:
             continue
@@ -465,13 +470,14 @@ def _held(problem: Problem, spec: PositionerSpec, robot: Robot, arm: Chain) -> d
         own = problem.cell.limits.get(called)
         range_ = None if own is None else _given_limits(problem, called, own, slides[name])[0]
         low, high = range_ or (float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i]))
+        ranges[name] = low, high
         named = "held_mm" if slides[name] else "held_deg"
         # where nobody says it, 0; of an axis that slides, what of its range is nearest to that
         out[name] = at = given[named].get(name, float(np.clip(0.0, low, high)) if slides[name] else 0.0)
         if not low - _ROUNDING <= at <= high + _ROUNDING:
             reason = "it is outside the axis' range" if name in given[named] else "0, its default, is outside its range"
             raise problem.error(f"cell.positioner.{named}.{name}", reason, in_words(low, high, slides[name]))
-    return out
+    return out, ranges
 
 
 def _holder_base(spec: PositionerSpec, robot: Robot) -> Array:

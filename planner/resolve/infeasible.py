@@ -254,10 +254,9 @@ def _angles_around(cell: Cell, name: str, now: float) -> Iterator[float]:
     robot = cell.holder_robot
     if robot is None:
         return
-    i = robot.joint_names.index(name)
-    if robot.slides[i]:
+    if robot.slides[robot.joint_names.index(name)]:
         return
-    low, high = robot.model.lowerPositionLimit[i], robot.model.upperPositionLimit[i]
+    low, high = cell.held_range[name]
     for away in np.arange(_TURN_STEP, _MOST_TURN + 1e-9, _TURN_STEP):
         for sign in (-1.0, 1.0):
             if low <= now + sign * np.radians(away) <= high:
