@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +27,11 @@ Array = NDArray[np.float64]
 DT = 0.004
 
 
-def path_of(q: Array, s: Array, speed: float) -> JointPath:
-    """Joints q (n, 7) along arc length s (n); where the tip is does not matter here."""
+def path_of(q: Array, s: Array, speed: float, runs: int = 0) -> JointPath:
+    """Joints q (n, 7) along arc length s (n), with so many samples in each run; where the tip is does not matter here."""
     n = len(q)
-    task = NozzleTask(0, "path", 0, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), s, 0, n - 1, speed)
+    frames, first, last = np.tile(np.eye(3), (n, 1, 1)), runs, n - 1 - runs
+    task = NozzleTask(0, "path", 0, np.zeros((n, 3)), frames, s - s[first], first, last, speed)
     return JointPath(task, np.zeros(n), np.zeros((n, 2)), q, 0)
 
 
@@ -161,6 +163,18 @@ def test_the_bound_of_straight_joint_motion_is_the_trapezoid(cell: Cell) -> None
     q[:, 5] = turn * s / length
     gain = cell.limits.acceleration[5] * length / turn  # of the tip, m/s^2
     assert bound_time(cell, path_of(q, s, speed)) == pytest.approx(length / speed + speed / gain, rel=1e-3)
+    met = bound_time(cell, path_of(q, s, speed, 9), (True, True))  # runs too short to gather that speed
+    assert met == pytest.approx(length * 381 / 399 / speed, rel=1e-6)
+    begun = bound_time(cell, path_of(q, s, speed), (True, True))  # and none: there it rests
+    assert begun == pytest.approx(length / speed + speed / gain, rel=1e-3)
+
+
+@pytest.mark.parametrize("runs", [0, 5])
+def test_a_bead_is_begun_in_motion_along_a_run_alone(cell: Cell, runs: int) -> None:
+    s = np.linspace(0.0, 0.05, 200)
+    q = cell.home + np.outer(s, np.linspace(1.0, 7.0, 7))
+    timed = time_path(cell, path_of(q, s, 0.04, runs), (True, True))
+    assert timed.start.resting == timed.end.resting == (runs == 0)
 
 
 def test_a_slow_joint_sets_the_speed(cell: Cell) -> None:
@@ -221,7 +235,7 @@ def test_fastest_profile_against_toppra(seed: int) -> None:
     v, a = rng.uniform(0.6, 2.0, 7), rng.uniform(2.0, 6.0, 7)
     with np.errstate(divide="ignore"):
         ceiling = np.minimum((v / np.abs(spline(grid, 1))).min(axis=1), 1.0) ** 2
-    x = fastest_without_jerk(spline(grid, 1), spline(grid, 2), ceiling, a, grid[1])
+    x = fastest_without_jerk(spline(grid, 1), spline(grid, 2), ceiling, a, grid[1], False, False)
 
     class Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
         """The spline, and the parameter itself as a joint of its own: its speed limit is the commanded speed."""
@@ -264,7 +278,7 @@ def test_toppra_times_a_path_within_speed_and_acceleration(cell: Cell, moving: t
     s = np.linspace(0.0, length, n)
     knots = np.linspace(0.0, length, 9)
     q = cell.home + make_interp_spline(knots, rng.normal(scale=0.25, size=(9, 7)), k=5)(s)
-    path = path_of(q, s, speed)
+    path = path_of(q, s, speed, 10 if any(moving) else 0)
     found, ours = time_path(cell, path, moving, "toppra"), time_path(cell, path, moving)
     assert found.duration < (1.01 if any(moving) else 1.0) * ours.duration  # its ends may be slower
     if moving == (False, False):
@@ -274,7 +288,7 @@ def test_toppra_times_a_path_within_speed_and_acceleration(cell: Cell, moving: t
     for k, limit in ((1, cell.limits.velocity), (2, cell.limits.acceleration)):
         assert (np.abs(np.diff(joints, k, axis=0)) / DT**k <= 1.01 * limit).all()
     assert (np.diff(way) / DT <= 1.001 * speed).all()
-    np.testing.assert_allclose(way[-1], length, atol=speed * DT)
+    np.testing.assert_allclose(way[-1], path.task.s[-1], atol=speed * DT)
 
 
 def constraints(slopes: Array, bends: Array, a_max: Array, step: float) -> Array:
@@ -309,18 +323,18 @@ def test_fastest_profile_against_linear_programming(seed: int) -> None:
     a_max, v_max = rng.uniform(0.5, 4.0, joints), rng.uniform(0.3, 2.0, joints)
     ceiling = np.minimum((v_max / np.abs(slopes)).min(axis=1), rng.uniform(0.4, 1.5)) ** 2
     step = float(grid[1] - grid[0])
-    x = fastest_without_jerk(slopes, bends, ceiling, a_max, step)
-    assert x[0] == 0.0
-    assert x[-1] == 0.0
+    free = seed % 2 == 1, seed % 4 > 1
+    x = fastest_without_jerk(slopes, bends, ceiling, a_max, step, *free)
+    assert (x[[0, -1]] > 0.0).tolist() == list(free)
     assert (x[1:-1] > 0.0).all()
     assert (x <= ceiling * (1 + 1e-9)).all()
     A = constraints(slopes, bends, a_max, step)
     assert (A @ x).max() <= 1.0 + 1e-6
     upper = ceiling.copy()
-    upper[[0, -1]] = 0.0
+    upper[[0, -1]] *= free
     bounds = list(zip(np.zeros(n), upper, strict=True))
     highest = np.zeros(n)
-    for k in range(1, n - 1):
+    for k in range(n):
         best = linprog(-np.eye(n)[k], A_ub=A, b_ub=np.ones(len(A)), bounds=bounds)
         assert best.success
         highest[k] = -best.fun
@@ -344,13 +358,20 @@ def test_real_paths_hold_limits_and_speed(
             assert samples_of(piece).s_dot.max() <= 0.04 * (1 + 2e-3)  # it is commanded at grid points
 
 
-def test_jerk_costs_little_time(cell: Cell, joint_paths: dict[str, tuple[JointPath, ...]]) -> None:
+@pytest.mark.parametrize("moving", [(False, False), (True, True), (True, False)], ids=["at rest", "moving", "both"])
+def test_jerk_costs_little_time(
+    cell: Cell, joint_paths: dict[str, tuple[JointPath, ...]], moving: tuple[bool, bool]
+) -> None:
     for path in joint_paths["sqp"]:
-        timed = time_path(cell, path)
+        if any(moving):  # with runs in which no speed could be gathered
+            first, last = path.task.first - 2, path.task.last + 3
+            kept = replace(path.task, **{key: getattr(path.task, key)[first:last] for key in ("tip", "frames", "s")})
+            path = replace(path, task=replace(kept, first=2, last=last - first - 3), q=path.q[first:last])
+        timed = time_path(cell, path, moving)
         length = path.task.s[path.task.last]
         t = np.linspace(0.0, timed.duration, 20001)
         start, end = np.interp([0.0, length], timed.at(t)[1], t)
-        bound = bound_time(cell, path)
+        bound = bound_time(cell, path, moving)
         assert 0.9999 * bound <= end - start <= 1.03 * bound
 
 

@@ -539,7 +539,9 @@ def _plan_along(
     with stages.stage("verify"):
         report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
-        bound = {"bound_deposition_time_s": sum(of_each(partial(bound_time, cell), rest))}
+        moving = problem.process.hand_over == "motion"
+        bounds = of_each(partial(bound_time, cell, moving=(moving, moving)), rest)
+        bound = {"bound_deposition_time_s": sum(bounds)}
     return trajectory, replace(report, metrics=report.metrics | bound), travels
 
 

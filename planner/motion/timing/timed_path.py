@@ -97,8 +97,8 @@ def time_path(
     """Time one bead as fast as speed, acceleration and jerk limits and the commanded speed allow.
 
     timing: as `resolve.timing` of a problem; toppra knows no limits on jerk
-    It starts and ends at rest, but where it is `moving`, and comes to rest at the task's stops. Raises Refusal for a
-    task whose arc length does not grow from sample to sample.
+    It starts and ends at rest, but where it is `moving` along a run, and comes to rest at the task's stops. Raises Refusal
+    for a task whose arc length does not grow from sample to sample.
     """
     curve, legs = legs_of(path, moving)
     profiles = tuple(_timing(timing)(leg, cell.limits, path.task.speed) for leg in legs)
@@ -120,7 +120,8 @@ def _timing(name: str) -> Callable[[Leg, Limits, float], Profile]:
 
 
 def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[PiecewiseCurve, tuple[Leg, ...]]:
-    """Joints and arc length over time at the commanded speed, and the legs from rest to rest of that curve."""
+    """Joints and arc length over time at the commanded speed, and the legs from rest to rest of that curve; its ends are
+    passed in motion where it is `moving`, and the bead has a run there."""
     task = path.task
     n = len(task)
     # The path parameter is time at the commanded speed, so that its rate is 1 where that speed is held.
@@ -133,7 +134,8 @@ def legs_of(path: JointPath, moving: tuple[bool, bool]) -> tuple[PiecewiseCurve,
     ends = [0.0, *(at_arc_length(curve, stop.s) for stop in task.stops), float(u[-1])]
     legs = []
     for i, (a, b) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
-        at_start, at_end = i > 0 or not moving[0], i + 2 < len(ends) or not moving[1]
+        at_start = i > 0 or not moving[0] or task.first == 0
+        at_end = i + 2 < len(ends) or not moving[1] or task.last == n - 1
         ramp = min(RAMP, (b - a) / 3.0)
         legs.append(Leg(curve, a, b, (ramp if at_start else 0.0, ramp if at_end else 0.0)))
     return curve, tuple(legs)
@@ -164,13 +166,14 @@ REFINE = 4  # grid intervals for each interval of the task's samples
 _HALVINGS = 44  # of the interval in which a largest feasible x is sought: to 1e-13 of it
 
 
-def bound_time(cell: Cell, path: JointPath) -> float:
-    """Time [s] that deposition takes at least, from rest to rest and to the task's stops, without limits on jerk.
+def bound_time(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, False)) -> float:
+    """Time [s] that deposition takes at least, to the task's stops and from rest to rest, but where it is `moving` along a
+    run, without limits on jerk.
 
     No headroom is kept below the limits. Rests at stops are not counted.
     """
     task, total = path.task, 0.0
-    curve, legs = legs_of(path, (False, False))
+    curve, legs = legs_of(path, moving)
     v = np.append(cell.limits.velocity, task.speed)
     for leg in legs:
         intervals = max(int(np.ceil(REFINE * (leg.last - leg.first) / leg.spacing)), REFINE)
@@ -178,10 +181,9 @@ def bound_time(cell: Cell, path: JointPath) -> float:
         first, second = curve.derivatives(grid, 2)
         with np.errstate(divide="ignore", over="ignore"):
             ceiling = (v / np.abs(first)).min(axis=1) ** 2
-        slopes = np.ascontiguousarray(first[:, :-1])
-        x = fastest_without_jerk(
-            slopes, np.ascontiguousarray(second[:, :-1]), ceiling, cell.limits.acceleration, float(grid[1] - grid[0])
-        )
+        slopes, bends = (np.ascontiguousarray(each[:, :-1]) for each in (first, second))
+        free = leg.ramps[0] == 0.0, leg.ramps[1] == 0.0
+        x = fastest_without_jerk(slopes, bends, ceiling, cell.limits.acceleration, float(grid[1] - grid[0]), *free)
         rate = np.sqrt(x)
         times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(grid) / (rate[1:] + rate[:-1]))])
         s = curve(grid)[:, -1]
@@ -214,13 +216,17 @@ def _accelerations(
 
 
 @njit(cache=True)
-def fastest_without_jerk(slopes: Array, bends: Array, ceiling: Array, a_max: Array, step: float) -> Array:
-    """Largest squared rates x (n) on a uniform grid, 0 at both ends.
+def fastest_without_jerk(
+    slopes: Array, bends: Array, ceiling: Array, a_max: Array, step: float, free_start: bool, free_end: bool
+) -> Array:
+    """Largest squared rates x (n) on a uniform grid, 0 at its ends unless they are free.
 
     slopes, bends (n, nj): q' and q''; ceiling (n): largest x that speed limits allow; a_max (nj).
     """
     n = len(ceiling)
     reachable = np.zeros(n)  # the largest x from which the end can be reached
+    if free_end:
+        reachable[n - 1] = min(ceiling[n - 1], 1e6)
     for i in range(n - 2, -1, -1):
         low, high = 0.0, min(ceiling[i], 1e6)
         least, most = _accelerations(high, i, 0.0, reachable[i + 1], slopes, bends, a_max, step)
@@ -236,8 +242,9 @@ def fastest_without_jerk(slopes: Array, bends: Array, ceiling: Array, a_max: Arr
                 high = middle
         reachable[i] = low
     x = np.zeros(n)
+    if free_start:
+        x[0] = reachable[0]
     for i in range(n - 1):
         _, most = _accelerations(x[i], i, 0.0, reachable[i + 1], slopes, bends, a_max, step)
         x[i + 1] = min(max(x[i] + 2.0 * step * most, 0.0), reachable[i + 1])
-    x[n - 1] = 0.0
     return x
