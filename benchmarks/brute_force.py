@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.collision.scene import Obstacles
 from planner.planning.context import context_of
@@ -28,9 +29,6 @@ from planner.resolve.joint_path import JointPath, choose_turns, postures, uprigh
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask
 from planner.verify.verdict import Report, verify
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STEPS_DEG = (5.0, 5.0, 10.0, 15.0)  # of roll and chosen joints on the grid, for 0, 1, 2, 3 chosen joints
 MOVES = (2, 2, 1, 1)  # steps that each may go between rungs

@@ -18,11 +18,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import make_interp_spline
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.cell.cell import build_cell
 from planner.collision.scene import NOTHING
@@ -33,8 +33,6 @@ from planner.resolve.joint_path import JointPath
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
-
-Array = NDArray[np.float64]
 
 SPACING = 0.8e-3  # m between waypoints: the median of their file
 WEIGHTS = (0.1, 0.5, 1.0)  # of speed, acceleration and jerk

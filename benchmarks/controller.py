@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import make_lsq_spline
 from scipy.signal import lfilter, medfilt, savgol_filter
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.cell.cell import Cell, build_cell
 from planner.export.fit import from_matrix
@@ -32,8 +32,6 @@ from planner.export.player.played import Played
 from planner.export.program import RobotProgram
 from planner.export.rapid.writer import quadrants
 from planner.problem import load_problem
-
-Array = NDArray[np.float64]
 
 # The tool of all recordings, from recorded joints and the tips that belong to them: exact to 2 um.
 TOOL = "[75,0,493.30127]"

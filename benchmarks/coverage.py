@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -29,8 +29,6 @@ from planner.toolpath.coverage.tours import ORDERS
 from planner.toolpath.step.body import FaceBody
 from planner.toolpath.step.cover import smooth_regions, visits
 from planner.toolpath.step.files import Face, choose_faces, read_step
-
-Array = NDArray[np.float64]
 
 PROBLEMS = ("curved_plate", "propeller_blade", "shoehorn")
 ROWS = "rows"

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
 from benchmarks.controller import program_of
 from benchmarks.recordings import TrueRobot, executed_run, line_table, recorded, write_recording
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
 from planner.export.player.model import ABB, MotionModel
@@ -40,8 +40,6 @@ from planner.feedback.identify_program import AskedMoves, asked_moves, free_spac
 from planner.feedback.identify_run import path_of_program
 from planner.feedback.recordings import read_log
 from planner.problem import load_problem
-
-Array = NDArray[np.float64]
 
 COLUMNS = ("robot", "samples/s", "noise °", "recorded", *(f"{what}: median, worst %" for what in QUANTITIES), "not told",
            "delay and lag: worst ms")  # fmt: skip

@@ -19,10 +19,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.wing import ONE_NOZZLE
+from planner.base.arrays import Array
 from planner.base.command_line import exit_code
 from planner.base.progress import Stages
 from planner.export.controllers import CONTROLLERS
@@ -36,8 +36,6 @@ from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
-
-Array = NDArray[np.float64]
 
 RATE = 250.0  # samples a second
 MOST = 1e-3  # m beside the plan

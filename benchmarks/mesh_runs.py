@@ -19,7 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from benchmarks.own_process import end_with_parent
 from planner.base.errors import InputError, PlannerError, Refusal
@@ -35,7 +34,6 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.plane_paths import length
 from planner.toolpath.substrate.patterns import pattern
 
-Array = NDArray[np.float64]
 Row = dict[str, str | float | int | None]
 
 KINDS = ("substrate", "volume")

@@ -20,9 +20,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.waypoint_files import Meaning, files_in, look_at, place
+from planner.base.arrays import Array, Ints
 from planner.base.command_line import exit_code
 from planner.base.compiled import njit
 from planner.base.errors import EXIT_VERIFIED, PlannerError
@@ -31,9 +31,6 @@ from planner.planning.context import found_anywhere
 from planner.problem import Problem, load_problem
 from planner.problem.layers import WaypointLayersSpec, WaypointsSpec
 from planner.toolpath.waypoints.reader import read_waypoints
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 STEP = 0.25e-3  # m along paths
 SLOPE = 0.25  # of the distance from the tip, that is kept

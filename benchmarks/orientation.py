@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -27,8 +27,6 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball
 from planner.toolpath.substrate.mesh_top import MeshTop
 from planner.toolpath.substrate.projection import Substrate
-
-Array = NDArray[np.float64]
 
 FACET = 3e-3  # m, of the mesh of a ball: as large as those of the published one
 EDGE = 1.05  # times the radius, of an icosahedron

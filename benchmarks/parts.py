@@ -32,13 +32,12 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import load_problem, shipped_problems
 from planner.report.picture import draw_picture
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-
-Array = NDArray[np.float64]
 
 BENEATH = 0.35  # bead widths aside: a line no farther off lies beneath
 NEARLY = 0.02  # of the nominal spacing

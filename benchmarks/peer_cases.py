@@ -16,20 +16,18 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
 
 from benchmarks.usage import peak_mb
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
 from planner.base.progress import Stages
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-
-Array = NDArray[np.float64]
 
 SPACING = 1.0  # mm between waypoints
 SHIPPED = 1000  # waypoints of the problems in problems/

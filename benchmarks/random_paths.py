@@ -12,7 +12,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.base.arrays import Array
+
 Surface = Callable[[Array, Array], Array]  # (u, v) [mm] → points (n, 3), x_u × x_v out of the material
 
 POINTS = (60, 400)  # waypoints of a bead

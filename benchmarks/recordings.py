@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import ruckig
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from planner.base.arrays import Array
 from planner.export.player.model import MotionModel
 from planner.export.player.played import Played
 from planner.export.program import RobotProgram
 from planner.feedback.identify_extruder import FlowLine, width_of
 from planner.feedback.identify_program import AskedMoves
-
-Array = NDArray[np.float64]
 
 FINE = 0.5e-3  # s at which ruckig's motion is looked at
 AFTER = 0.3  # s recorded behind the last rest

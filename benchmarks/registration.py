@@ -25,12 +25,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
 from planner.cell.cell import build_cell
 from planner.plan import Plan
@@ -42,8 +42,6 @@ from planner.register.finding import Ask, Registration, Scene, plan_contacts, re
 from planner.register.fitting import Placement
 from planner.register.places import TouchPlaces
 from planner.register.telling import lines_of, verdict, write_picture
-
-Array = NDArray[np.float64]
 
 MOVED_MM, TURNED_DEG = 3.0, 2.0  # standard deviations of where the part really is
 WRONG_MM = (0.5, 5.0)

@@ -21,17 +21,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from planner.base.arrays import Array
 from planner.link.program_lines import ProgramLine, ProgramLines
 from planner.link.relay import WINDOW, Relay, RelaySide
 from planner.link.run import Log, RelayRun, Requests
 
 ASKED_P99 = 5e-3  # s
 MODULE = "Bench"
-Array = NDArray[np.float64]
 
 
 def program(count: int, rate: float) -> ProgramLines:

@@ -14,8 +14,8 @@ import matplotlib
 import numpy as np
 import pinocchio as pin
 import trimesh
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.shipped import ROBOTS
 from planner.cell.robot import Robot, read_robot, robot_names
 from planner.cell.robot_file import read_robot_file
@@ -26,7 +26,6 @@ import matplotlib.pyplot as plt  # after the choice of its backend
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-Array = NDArray[np.float64]
 BENT = {  # deg: postures in which arms of each kind are easily seen
     "spherical_wrist": (0, 15, 10, 0, 55, 0),
     "offset_wrist": (0, -60, 80, -110, -90, 0),

@@ -18,7 +18,6 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -27,13 +26,12 @@ from benchmarks.peer_cases import waypoint_text
 from benchmarks.rows import Row, Run, append_row, check_columns, row_of_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.base.progress import STAGES, Stages
 from planner.planning.pipeline import solve, write_files
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
-
-Array = NDArray[np.float64]
 
 PASS, PASSES, PITCH, SPACING = 150.0, 15, 1.0, 1.0  # mm: a strip of passes to and fro is a bead
 STRIPS, GAP = 4, 4.0  # strips of a layer, and the way from one to the next

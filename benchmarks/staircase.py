@@ -21,13 +21,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.problem import Problem, load_problem
 from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.section import AerofoilSection, SectionSide, root_section
-
-Array = NDArray[np.float64]
 
 PROBLEM = "naca0015_wing"
 METHODS = {

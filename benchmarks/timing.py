@@ -17,7 +17,6 @@ import time
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
@@ -30,8 +29,6 @@ from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.resolve.joint_path import JointPath
 from planner.toolpath.task import NozzleTask
-
-Array = NDArray[np.float64]
 
 LENGTHS = (1_000, 10_000, 100_000)  # trajectory samples of one path, to see whether cost is linear
 REPEATS = 3  # of which the least counts: the machine may be shared

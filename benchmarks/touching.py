@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.register.contacts import plate_poses
 from planner.register.finding import Scene
 from planner.register.fitting import UNKNOWNS, Placement, slopes
-
-Array = NDArray[np.float64]
 
 
 def misplaced(scene: Scene, move_mm: Sequence[float] = (), turn_deg: Sequence[float] = (), shift_mm: Sequence[float] = ()

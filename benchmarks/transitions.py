@@ -16,17 +16,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.problem.layers import TRANSITIONS
-
-Array = NDArray[np.float64]
 
 LENGTH, WIDTH, HEIGHT = 32.0, 14.0, 6.0  # mm, of the block
 WAVE, AMPLITUDE = 12.0, 0.6  # mm, along its length

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, PlannerError
 from planner.base.shipped import PROBLEMS
 from planner.cell.kinematics.chain import refine
@@ -27,7 +27,6 @@ from planner.robots.adding import added
 from planner.robots.files import Cap
 from planner.robots.trial import trial
 
-Array = NDArray[np.float64]
 POSTURES, STARTS = 5, 400  # whose poses are solved, and Newton's starts for each
 SAME = 1e-5  # rad: postures that differ by less are one
 SINGULAR = 0.02  # least singular value of the Jacobian below which branches are about to meet

@@ -14,13 +14,11 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.waypoint_spacing import Spacing, spacing_of, unit_of
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.toolpath.waypoints.reader import LENGTHS, read_columns
-
-Array = NDArray[np.float64]
 
 SUFFIXES = (".txt", ".csv", ".xyz", ".dat", ".npz")
 LEANING = 0.2  # a mean of unit normals, along an axis, that is less than this says nothing of up and down

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.geometry import arc_lengths, subdivided
 from planner.toolpath.waypoints.reader import SPLIT
-
-Array = NDArray[np.float64]
 
 _TOGETHER = 2  # waypoints: no more of them are a crumb, where steps are uneven
 _PLACES, _PER_STEP = 4000, 3.0  # along all of the path, and in a usual step, at most: what may be a neighbour

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planner.base.arrays import Array
+
 Rng = np.random.Generator
 
 CREEPS = (0.0, 1e-9, 1e-6, 1e-3)  # mm between points that should be one

@@ -7,12 +7,11 @@ from itertools import combinations
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.robot import Robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, triangles_of
 
-Array = NDArray[np.float64]
 Placed = tuple[int, str, coal.CollisionGeometry, coal.Transform3s]  # joint index, name, shape, pose in the base
 
 

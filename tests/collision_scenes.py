@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import print_body, standing
 from planner.plan import TRAVEL, Approach, Check, Trajectory
@@ -18,7 +18,6 @@ from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond, by_the_tip
 
-Array = NDArray[np.float64]
 DT = 0.004
 
 YAML = """\

@@ -8,16 +8,13 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.touching import cartesian, tips_of, write_contacts
+from planner.base.arrays import Array
 from planner.problem import load_problem
 from planner.register.finding import Ask, Scene, plan_contacts, scene_of
 from planner.register.fitting import Placement
-
-Array = NDArray[np.float64]
-
 
 PART = Ask()
 MOVED, TURNED = (3.0, -2.0, 1.5), (1.5, -1.0, 0.8)

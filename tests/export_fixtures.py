@@ -10,8 +10,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.export import fanuc, inform, kawasaki, krl, melfa, urscript, val3
 from planner.export.arcs import segments
@@ -28,8 +28,6 @@ from planner.plan import Check, Event, Plan, Trajectory
 from planner.problem.cell import CellSpec
 from planner.problem.process import ProcessSpec
 from planner.problem.settings import BoardSpec, MachineSpec, ProgramSpec
-
-Array = NDArray[np.float64]
 
 DT = 0.004
 SPEED = 0.04

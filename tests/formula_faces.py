@@ -6,12 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.toolpath.coverage.sheet import inside
 from planner.toolpath.coverage.tours import SampledSurface
-
-Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-6  # of u and v, for normals
 _CALIBRATED = 1e-3  # of the desired distance

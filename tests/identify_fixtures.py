@@ -8,9 +8,9 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, TrueRobot, recorded, write_recording
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
 from planner.feedback.identify_fit import fit_joints
@@ -24,8 +24,6 @@ from planner.feedback.identify_program import (
 )
 from planner.feedback.recordings import read_log
 from planner.problem import Problem, load_problem
-
-Array = NDArray[np.float64]
 
 NOISE = np.radians(0.01)
 RPI = Path(__file__).resolve().parents[2] / "shared" / "data" / "rpi"

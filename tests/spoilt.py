@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import body_of
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.plan import TRAVEL, Plan, Trajectory
 from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.verdict import Report, verify
-
-Array = NDArray[np.float64]
 
 
 def report(

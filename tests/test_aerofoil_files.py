@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from planner.base.errors import InputError
 from planner.problem import find_problem
 from planner.toolpath.wing.section import naca_section, read_section
-
-Array = NDArray[np.float64]
 
 UPPER = [(0.0, 0.0), (0.05, 0.03), (0.2, 0.06), (0.5, 0.055), (0.8, 0.03), (1.0, 0.002)]
 LOWER = [(0.0, 0.0), (0.05, -0.02), (0.2, -0.035), (0.5, -0.03), (0.8, -0.015), (1.0, -0.002)]

@@ -17,10 +17,10 @@ import pytest
 from export_fixtures import GOLDEN, arm_texts, make_plan, resting_in_a_bead
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import bed_plan
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.arms import Convention
 from planner.export.fanuc import FANUC
@@ -34,7 +34,6 @@ from planner.export.speeds import stepped_speeds
 from planner.export.val3 import STAUBLI
 from planner.plan import Plan
 
-Array = NDArray[np.float64]
 Files = dict[str, str]
 ARMS = ("fanuc", "inform", "val3", "kawasaki", "melfa")
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
@@ -31,7 +31,6 @@ from planner.cell.kinematics.seven_axes import SevenAxes, read_seven_axes
 from planner.cell.robot import Robot, chain_of, read_robot, robot_names
 from planner.problem import load_problem
 
-Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 
 

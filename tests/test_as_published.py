@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.wing import ONE_NOZZLE
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.base.singular_values import least_singular_values
 from planner.cell.cell import Cell, build_cell
@@ -20,7 +20,6 @@ from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from tests.test_problems import SMALL
 
-Array = NDArray[np.float64]
 STEP = np.radians(15.0)  # between headings, and between places where the part is held
 
 

@@ -15,12 +15,12 @@ import tree_sitter_gcode
 from gcodeparser import parse_gcode_lines
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import solve_alone
 from tree_sitter import Language as Grammar
 from tree_sitter import Parser
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import build_cell
 from planner.export.axes.flavours import feed_length
@@ -37,7 +37,6 @@ from planner.problem.settings import MachineSpec
 from tests.export_fixtures import GOLDEN, axes_texts, make_plan, written_with
 from tests.solved import small_problem
 
-Array = NDArray[np.float64]
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 

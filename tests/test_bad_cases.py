@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bad_cases import CAP, RADIUS, drawing_case, joint_case, waypoint_case
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from solved import solve_alone
 
@@ -26,7 +25,6 @@ from planner.toolpath.task import NozzleTask
 from planner.toolpath.waypoints.reader import SAME_PLACE, distinct
 from planner.toolpath.waypoints.surfels import Surfels
 
-Array = NDArray[np.float64]
 DT = 0.004
 SPEEDS = (5.0, 40.0, 200.0)  # mm/s
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, recorded
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.cell.cell import Cell
 from planner.feedback.bags import is_bag, read_bag
@@ -26,7 +26,6 @@ from tests.identify_fixtures import asked_of, cell_of, truth_of
 
 pytest.importorskip("rosbags")
 
-Array = NDArray[np.float64]
 
 KINDS = ("bag", "sqlite3", "mcap")
 SINCE = 1_700_000_000 * 10**9  # ns

@@ -10,17 +10,15 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball, Corrugation, Ellipsoid, Plane, SubstrateBody
-
-Array = NDArray[np.float64]
 
 SIZE = np.array([0.2, 0.15])
 BODIES: dict[str, SubstrateBody] = {

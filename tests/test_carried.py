@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from test_travel import check_joined, check_limits, check_smooth, still, tip_speed
 
 from planner.cell.cell import Cell
@@ -26,7 +25,6 @@ from planner.problem import Problem
 from planner.problem.process import FilamentMoveSpec
 from planner.toolpath.bead import Toolpath
 
-Array = NDArray[np.float64]
 AWAY = Displacement("", (1e-3, -1.5e-3, 1e-3), (math.radians(0.6), math.radians(-0.5), math.radians(0.6)))
 
 

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell, frame_from_z, rigid_inverse
 from planner.cell.robot import robot_names
 from planner.problem import load_problem
 
-Array = NDArray[np.float64]
 BED = ("cell.positioner=null", "cell.bed_mm=[560, -93, 290]")
 
 

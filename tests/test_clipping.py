@@ -9,7 +9,6 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from planner.base.errors import InputError
 from planner.problem import load_problem
@@ -19,7 +18,6 @@ from planner.toolpath.plane_paths import length
 from planner.toolpath.substrate.clipping import EDGE, FITS, OFF, SHORT, STEEP, Clipped, at_edges, off_or_steep
 from planner.toolpath.svg.outlines import PlanePath
 
-Array = NDArray[np.float64]
 WIDTH = 0.6e-3
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from collision_scenes import scene
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, packed
 from planner.collision.point_tree import point_tree, solid_distance
@@ -19,7 +19,6 @@ from planner.verify.collision import PrintPair, print_pairs, sweep
 from planner.verify.executed import ExecutedMotion
 from planner.verify.nozzle import beyond_the_tip, nozzle_nearness
 
-Array = NDArray[np.float64]
 FIXTURES = (
     "  bed_mm: [-500, 600, 100]\n"
     "  fixtures:\n    post: {cylinder: {radius_mm: 30, height_mm: 500}, centre_mm: [420, 150, 300]}\n"

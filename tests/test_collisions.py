@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import trimesh
 from collision_scenes import Piece, between, laying, look, postures, scene, straight_bead, upright
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, packed, triangles_of
@@ -19,8 +19,6 @@ from planner.plan import TRAVEL
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.bodies import CellBodies, CheckedBody
 from planner.verify.collision import check_start
-
-Array = NDArray[np.float64]
 
 NOZZLE = "nozzle clear of part and print"
 ARM = "arm clear of part and print"

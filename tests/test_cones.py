@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.resolve.cone_kernels import FACETS, facet, lean_of, lean_slope_of, watch_leans, watch_missed_leans
 from planner.resolve.joint_path import spread
 from planner.resolve.splines import basis_over, breaks_of, clock_of, places_along
 from planner.toolpath.task import FREE, Cones, NozzleTask
 
-Array = NDArray[np.float64]
 NARROW_CONES = Cones(layer_gravity=np.radians(8.0))
 
 

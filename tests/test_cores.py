@@ -12,11 +12,11 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from solved import solve_alone
 
 from benchmarks.parts import spacing
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import load_problem
@@ -27,8 +27,6 @@ from planner.toolpath.substrate.clipping import trim_curve, trim_path
 from planner.toolpath.substrate.cores import CoreSurface, even_levels, varying_levels
 from planner.toolpath.substrate.mesh_surface import HeightField
 from planner.toolpath.svg.outlines import PlanePath
-
-Array = NDArray[np.float64]
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 BRISTOL = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol"

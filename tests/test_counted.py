@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from simulate_fixtures import program_at
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.export.fanuc import FANUC
 from planner.export.inform import YASKAWA
@@ -22,7 +22,6 @@ from planner.simulate.controller import played_motion
 from tests.public_arms import ARMS, urdf_of
 from tests.test_placed_wrist import TEXT
 
-Array = NDArray[np.float64]
 SMALL = ("resolve.rung_mm=10", "resolve.roll_step_deg=30")
 OF = {"KUKA": "krl", "Fanuc": "fanuc", "Yaskawa": "inform", "Stäubli": "val3", "ABB": "rapid"}
 

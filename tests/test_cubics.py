@@ -7,12 +7,9 @@ import pytest
 import ruckig
 from hypothesis import given, reject
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from planner.motion.cubics import Cubics, chain, rest
 from planner.motion.travel.moves import from_ruckig
-
-Array = NDArray[np.float64]
 
 
 def planned(seed: int, n: int = 4, share: float = 0.9, least: float | None = None) -> ruckig.Trajectory:

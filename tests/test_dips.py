@@ -8,9 +8,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from solved import small_plan, small_problem
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, Limits
 from planner.collision.scene import obstacles_of
 from planner.motion.dips import AT_SPEED, MERGE, find_dips
@@ -23,8 +23,6 @@ from planner.resolve.joint_path import JointPath
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.task import NozzleTask, Stop, make_tasks
-
-Array = NDArray[np.float64]
 
 DT = 0.004
 SPEED = 0.04

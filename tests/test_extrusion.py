@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import quad
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.motion.extrusion import (
     bead_area,
@@ -25,7 +26,6 @@ from planner.motion.extrusion import (
 from planner.plan import Event
 from planner.toolpath.bead import Bead
 
-Array = NDArray[np.float64]
 MM = 1e-3
 DT = 0.004
 FILAMENT = np.pi * (1.75 * MM) ** 2 / 4.0

@@ -9,17 +9,15 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from solved import solve_alone
 
 from benchmarks.orientation import main as orientation
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball, Facing
 from planner.toolpath.substrate.projection import Substrate
-
-Array = NDArray[np.float64]
 
 COARSE = ("layers.count=1", "resolve.rung_mm=10", "resolve.roll_step_deg=30")
 DOME = Ball(0.05, np.array([0.0, 0.0, -0.02]))

@@ -6,16 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from solved import promises_kept, solve_alone
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.substrate.bodies import Ball, Corrugation, Ellipsoid, Plane
 from planner.toolpath.substrate.falling import along
 
-Array = NDArray[np.float64]
 MM = 1e-3
 SPACE = "[{degree: 2, points_mm: [[-40, -30, 70], [-10, 30, 95], [20, -30, 80], [50, 10, 60]]}]"
 BALL = "part={sphere: {radius_mm: 80, centre_mm: [5, -3, -20]}}"

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from solved import promises_kept, solve_alone
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export import extruder
 from planner.export.extruder import gcode
@@ -21,8 +22,6 @@ from planner.export.rapid.writer import rapid_files
 from planner.export.readback import compare
 from planner.plan import Plan
 from planner.problem import load_problem
-
-Array = NDArray[np.float64]
 
 FIBRES = ("fibre_plane", "fibre_bowl", "fibre_corrugated")
 MOST_LEAN, MOST_OFF = 0.1, 0.05  # deg, mm: what the true surface may be missed by

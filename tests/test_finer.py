@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from planner.cell.cell import build_cell
@@ -20,7 +19,6 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.finer import sampled_finer
 
-Array = NDArray[np.float64]
 CASE = ("resolve.rung_mm=10", "resolve.roll_step_deg=30", "process.speed_mm_s=20")
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.motion.extrusion import bead_area
@@ -25,7 +25,6 @@ from planner.toolpath.gcode.arcs import arc_by_centre, centre_by_radius
 from planner.toolpath.gcode.layers import LevelLayers
 from planner.toolpath.gcode.reader import GcodeFile, read_gcode
 
-Array = NDArray[np.float64]
 CHORD = 1e-5
 AREA = 0.25 * math.pi * 1.75e-3**2
 Read = Callable[[str], GcodeFile]

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.feedback.filters import noise_of
 from planner.feedback.glitches import CleanedSamples, cleaned
 from planner.feedback.identify_profile import MotionLimits, move_profile
-
-Array = NDArray[np.float64]
 
 NAMES = ("J1", "J2")
 NOISE = np.radians(0.01)

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import small_problem, write_small
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
@@ -48,7 +48,6 @@ from planner.toolpath.task import tasks_of
 from planner.verify.executed import executed_motion
 from planner.verify.verdict import Report, verify
 
-Array = NDArray[np.float64]
 DT = 0.004
 AROUND = Tolerance(2e-3, math.radians(1.0))
 CELLS = {

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
@@ -21,7 +21,6 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, make_tasks
 
-Array = NDArray[np.float64]
 BASE = ("layers.count=1", "resolve.rung_mm=10")
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, TrueRobot, commands, recorded, write_recording
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, OutputError
 from planner.cell.cell import build_cell
 from planner.cell.robot import read_robot
@@ -32,8 +32,6 @@ from tests.identify_fixtures import (
     header,
     truth_of,
 )
-
-Array = NDArray[np.float64]
 
 # ---- robots' files -------------------------------------------------------------------------------------------------
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from benchmarks.recordings import line_table
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
@@ -34,8 +33,6 @@ from planner.feedback.identify_extruder import (
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import without
 from planner.toolpath.build import build_toolpath
-
-Array = NDArray[np.float64]
 
 PLA = 1240.0  # kg/m³
 

@@ -11,7 +11,6 @@ import pytest
 import ruckig
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, TrueRobot, commands, recorded, write_recording
 from planner.feedback.identify_delay import fit_delay
@@ -31,8 +30,6 @@ from tests.identify_fixtures import (
     header,
     truth_of,
 )
-
-Array = NDArray[np.float64]
 
 # ---- profiles ------------------------------------------------------------------------------------------------------
 

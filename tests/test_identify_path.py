@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, executed_run, write_recording
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, OutputError
 from planner.cell.robot import read_robot
 from planner.export.controllers import CONTROLLERS
@@ -40,8 +40,6 @@ from planner.planning.pipeline import solve, write
 from tests.identify_fixtures import cell_of, table_text
 from tests.solved import small_plan, small_problem
 from tests.test_player import CELL, program_through
-
-Array = NDArray[np.float64]
 
 NOISE = np.radians(0.01)
 RPI = Path(__file__).resolve().parents[2] / "shared" / "data" / "rpi"

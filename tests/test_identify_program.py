@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, obstacles_of
@@ -35,8 +35,6 @@ from tests.identify_fixtures import (
     cell_of,
 )
 from tests.test_nozzles import TWO, problem_of
-
-Array = NDArray[np.float64]
 
 # ---- what is asked -------------------------------------------------------------------------------------------------
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.pipeline import load, solve
 from planner.toolpath.build import build_toolpath
@@ -17,7 +17,6 @@ from planner.verify.checks import Findings
 from planner.verify.input_normals import file_normals
 from planner.verify.verdict import verify
 
-Array = NDArray[np.float64]
 TEXT = """name: try
 cell:
   arm: irb2600

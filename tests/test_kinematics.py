@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.cell.kinematics.chain import invert6, largest_singular_value
 from planner.cell.kinematics.spherical_wrist import (
@@ -19,8 +19,6 @@ from planner.cell.kinematics.spherical_wrist import (
     solve_within,
 )
 from planner.problem import load_problem
-
-Array = NDArray[np.float64]
 
 # mm, FACTS' table: a1 a2 b c1 c2 c3 c4. The last one is no robot that ships: it has every offset there is.
 OPW = {

@@ -11,10 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from export_fixtures import GOLDEN, golden_texts, make_plan, resting_in_a_bead
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import small_plan
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export import krl
 from planner.export.krl import (
@@ -33,7 +33,6 @@ from planner.export.krl import (
 from planner.export.support import unsupported_in_krl
 from planner.plan import Plan
 
-Array = NDArray[np.float64]
 TURNED = np.radians(0.1)  # of a target beside its nearest sample
 SOURCE, DATA = "TwoBeads.src", "TwoBeads.dat"
 MOVE = re.compile(r"^  (LIN |PTP |CIRC \{.*?\},)\{(E6POS|E6AXIS): (.*?)\}( C_DIS| C_PTP)?$", re.MULTILINE)

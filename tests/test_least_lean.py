@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.ndimage import label
 from solved import solve_alone, write_small
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, InputError
 from planner.cell.cell import Cell, build_cell
 from planner.planning.check_command import examine
@@ -20,7 +20,6 @@ from planner.resolve.least_lean import LeastLean, _least_way, _too_narrow, check
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import Cones, NozzleTask, tasks_of
 
-Array = NDArray[np.float64]
 TABLES = {
     "both": ("[tilt, rotation]", "{}", (-20, 60)),
     "both, rotation in its range": ("[tilt, rotation]", "{}", (10, 15)),

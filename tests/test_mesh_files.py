@@ -14,13 +14,11 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem.mesh_files import read_corners, read_facets, unit_of
 from planner.problem.part import UNITS, MeshSpec
-
-Array = NDArray[np.float64]
 
 SIDES = (40.0, 30.0, 20.0)
 KINDS = ("stl", "stl_ascii", "ply", "ply_ascii", "obj", "off")

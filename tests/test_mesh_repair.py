@@ -12,12 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.problem import load_problem
 from planner.problem.mesh_repair import facing_alike, mend
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.volume.sections import NotClosed, Solid
-
-Array = NDArray[np.float64]
 
 BALL = np.asarray(trimesh.creation.icosphere(2, 0.02).triangles)  # 320 facets of 4 to 6 mm
 VOLUME = Solid.of(BALL).volume

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from solved import solve_alone
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
@@ -24,8 +24,6 @@ from planner.toolpath.substrate.mesh_top import (
     TooRoughMesh,
     reach_beside,
 )
-
-Array = NDArray[np.float64]
 
 COARSE = ("layers.count=1", "resolve.rung_mm=8", "resolve.roll_step_deg=20")
 PATTERN = "layers.source={pattern: concentric, cell_mm: 6, size_mm: [36, 36], outline: ellipse}"

@@ -14,9 +14,9 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.cell.kinematics.chain import Chain
@@ -58,7 +58,6 @@ from planner.resolve.strategies import STRATEGIES
 from planner.resolve.terms import model_of
 from planner.toolpath.task import Cones, NozzleTask
 
-Array = NDArray[np.float64]
 sqp_module = importlib.import_module("planner.resolve.sqp")
 KNOT = 2.5e-3
 FINE = 0.5e-3

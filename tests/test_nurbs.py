@@ -9,16 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.drawings import CurveSpec
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.nurbs import FLATNESS, Cusp, NurbsCurve, flatten
-
-Array = NDArray[np.float64]
 
 SQRT_HALF = float(np.sqrt(0.5))
 CIRCLE = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1), (1, 0))

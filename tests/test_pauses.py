@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from test_candidates import helix
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.export.plan_json import SPLIT_KEYS, plan_json
 from planner.planning.pipeline import solve
@@ -20,7 +20,6 @@ from planner.resolve.search import LadderNumbers, TravelLimits, TurnsCounted, se
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.split import split_toolpath
 
-Array = NDArray[np.float64]
 R, A, B, C = 12, 4, 3, 2
 STEP = 2.0 * np.pi / B
 LOW, HIGH = np.radians([-250.0, -200.0]), np.radians([250.0, 200.0])

@@ -10,8 +10,8 @@ import pinocchio as pin
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.kinematics.axes import OtherGeometry
@@ -24,7 +24,6 @@ from planner.cell.robots_command import reach
 from planner.cell.urdf import model_of, parse_urdf
 from tests.public_arms import ARMS, LEVEL, PublicArm, kuka, urdf_of
 
-Array = NDArray[np.float64]
 TURN = 2.0 * np.pi
 TEXT = """\
 name: {name}

@@ -16,10 +16,10 @@ import pytest
 from matplotlib.colors import Normalize
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from solved import BED, small_problem, write_small
 from test_nozzles import TWO, two_nozzles
 
+from planner.base.arrays import Array
 from planner.base.distribution import crew
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.base.shipped import PROBLEMS
@@ -58,7 +58,6 @@ from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
-Array = NDArray[np.float64]
 STEP = np.radians(30.0)
 
 

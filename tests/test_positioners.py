@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 from solved import solve_alone
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.export.languages import chosen
@@ -30,7 +30,6 @@ from planner.toolpath.task import make_tasks, tasks_of
 from planner.verify.executed import executed_motion
 from planner.verify.verdict import verify
 
-Array = NDArray[np.float64]
 JOINTS = tuple(f"joint_{i}" for i in range(1, 7))
 # The second arm reaches towards the first one, its flange leaning back from upright: a wrist bent and a part in reach.
 HOLD = dict(zip(JOINTS, (0, 10, 50, 0, -80, 0), strict=True))

@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from solved import small_plan
 
 from benchmarks.clearance import pressed_by_coal
+from planner.base.arrays import Array
 from planner.cell.bodies import nozzle_profile
 from planner.plan import TRAVEL
 from planner.problem import load_problem
 from planner.verify.checks import Judged
 from planner.verify.pressed import LIMIT, deepest, outline_distance, pressed
 from planner.verify.verdict import verify
-
-Array = NDArray[np.float64]
 
 WIDTH, HEIGHT = 1.0e-3, 0.5e-3
 STEP = 0.1e-3

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import bed_plan, small_plan
 
+from planner.base.arrays import Array, Indices
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import angle, continuous, from_matrix, lean_and_roll, slerp
 from planner.export.moves import (
@@ -37,9 +37,6 @@ from planner.export.primitives import (
 )
 from planner.export.speeds import STEPS, TIME_TOLERANCE, even_speeds
 from planner.plan import Plan
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.intp]
 
 CHORD = 0.02e-3  # m
 LONG = 1.0  # m, rad, s: a tolerance that nothing reaches

@@ -8,18 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from export_fixtures import executed_beads
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from solved import promises_kept, solve_alone
 
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.export.rapid.reader import read_rapid
 from planner.export.rapid.writer import rapid
 from planner.export.readback import compare
 from planner.plan import Plan
 from planner.problem import load_problem, shipped_problems
-
-Array = NDArray[np.float64]
 
 UNIVERSITY = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "uob_logo.svg"
 COARSE = ("resolve.rung_mm=10", "resolve.roll_step_deg=30", "resolve.table_step_deg=30")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.problem.process import FibreSpec
@@ -18,7 +18,6 @@ from planner.toolpath.runs import BeadRun, cut_place, with_runs
 from planner.toolpath.task import NozzleTask, Stop, make_tasks, roll_zeros, tasks_of
 from planner.toolpath.wrapped import Cylinder, wrap_layer
 
-Array = NDArray[np.float64]
 MM = 1e-3
 RUN = 3.0 * MM
 HEIGHT = 0.5 * MM

@@ -10,7 +10,6 @@ from functools import cache
 import numpy as np
 import pytest
 from export_fixtures import with_board
-from numpy.typing import NDArray
 from solved import sampled, small_problem, solve_alone
 
 from planner.base.errors import InputError
@@ -25,7 +24,6 @@ from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.verify.verdict import verify
 
-Array = NDArray[np.float64]
 MM = 1e-3
 COARSE = 0.02
 ON_THE_NORMAL = 0.01 * MM  # m to the side, of a move along the part's normal

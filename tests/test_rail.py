@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from solved import promises_kept, solve_alone, write_small
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.cell.cell import Cell, build_cell, rigid_inverse
@@ -47,7 +48,6 @@ from planner.verify.as_run import as_run
 from planner.verify.bodies import CellBodies
 from planner.verify.verdict import verify
 
-Array = NDArray[np.float64]
 ROWS = 6  # nearest pairs of a posture that are looked at
 FAR = """\
 <robot name="far">

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from benchmarks.recordings import Recording, recorded, write_recording
 from planner.base.errors import InputError
@@ -27,8 +26,6 @@ from tests.identify_fixtures import (
     table_text,
     truth_of,
 )
-
-Array = NDArray[np.float64]
 
 # ---- names of columns ----------------------------------------------------------------------------------------------
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from contact_files import MOVED, PART, TURNED, apart, chosen, contacts, scene, scratch
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import write_small
 from test_nozzles import TWO
 
 from benchmarks import registration
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell, frame_from_z
 from planner.cell.kinematics.inverse import track
@@ -29,9 +29,6 @@ from planner.register.finding import Ask, as_published, plan_contacts, register,
 from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
 from planner.register.places import reached, rolls
 from planner.register.telling import changes_of, published_lines, rpy_degrees
-
-Array = NDArray[np.float64]
-
 
 # Placement
 

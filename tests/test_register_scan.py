@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.touching import misplaced
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.problem import load_problem
 from planner.problem.yaml_file import find_problem
@@ -21,8 +21,6 @@ from planner.register.command import main
 from planner.register.finding import Ask, Scene, scene_of
 from planner.register.fitting import Placement
 from planner.register.scans import SCANS, register_scan
-
-Array = NDArray[np.float64]
 
 PROBLEMS = find_problem("aerofoil_core_tapered").parent
 STRIP = ("layers.source.size_mm=[40, 85]", "layers.count=1")

@@ -11,14 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.typing import NDArray
 from solved import small_plan
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.verify.executed import _determinant, executed_motion, joint_poses
-
-Array = NDArray[np.float64]
 
 ON_BED = """\
 name: any

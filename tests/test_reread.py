@@ -19,11 +19,11 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from benchmarks.scanned_bed import dome, save
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.collision.print_body import PrintBody, print_body
 from planner.problem import Problem, load_problem
@@ -42,7 +42,6 @@ from planner.verify.reread.points import Segments, segments_of
 from planner.verify.reread.printed import as_the_problem_says
 from planner.verify.reread.scan import sheets_at
 
-Array = NDArray[np.float64]
 Spoil = Callable[[Bead], Bead | None]
 
 SIZE, PART, NORMAL = "beads as wide and high as asked", "layers on the part", "nozzle normal to the part"

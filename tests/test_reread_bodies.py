@@ -17,6 +17,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS
 from planner.collision.print_body import print_body
@@ -29,8 +30,6 @@ from planner.toolpath.wing.section import root_section, tip_section
 from planner.verify.reread.aerofoil import sections_of
 from planner.verify.reread.facets import Facets
 from tests.test_reread import BASE, failed, found
-
-Array = NDArray[np.float64]
 
 PART, NORMAL, INSIDE = "layers on the part", "nozzle normal to the part", "beads within the part"
 FILLED, DENSE, DRAWN, LEFT = (

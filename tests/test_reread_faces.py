@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
 from OCP.collections import Array2_gp_Pnt
 from OCP.Geom import Geom_BezierSurface
@@ -18,6 +17,7 @@ from OCP.TopoDS import TopoDS_Face
 from scipy.interpolate import BPoly
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.problem import Problem, load_problem
 from planner.problem.part import StepSpec
 from planner.toolpath.bead import Bead, Toolpath
@@ -27,8 +27,6 @@ from planner.verify.reread.step_faces import TURNED, meshed_faces
 from tests.test_reread import BASE, failed, found
 from tests.test_reread_bodies import FILLED, INSIDE, NORMAL, PART
 from tests.test_step import written
-
-Array = NDArray[np.float64]
 
 LENGTH, WIDTH = 40.0, 30.0  # mm
 BENDS_ONCE, BENDS_TWICE = (0.0, 12.0, -12.0, 0.0), (0.0, 8.0, -8.0, 8.0, -8.0, 0.0)  # mm, heights of poles

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import ruckig
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import LIMIT_ROOM, Cell, build_cell
 from planner.collision.scene import NOTHING
@@ -33,7 +33,6 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, make_tasks
 
-Array = NDArray[np.float64]
 Paths = dict[str, tuple[JointPath, ...]]
 TURN = 2.0 * np.pi
 QUICK = [name for name in STRATEGIES if name != "nlp"]  # which is for single beads, and refuses more

@@ -9,14 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from coal_bodies import distance, nearest_links, placed
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import Cell, build_cell
 from planner.cell.robot import Robot, joint_axis, read_robot, robot_names
 from planner.problem import load_problem
 
-Array = NDArray[np.float64]
 DRAWN = [key for key in robot_names() if key not in ("panda", "ur3", "ur5", "ur10", "xarm7")]
 ABB = [key for key in DRAWN if key.startswith("irb") and key != "irbp_a250"]
 PROBLEMS = (

@@ -9,15 +9,14 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.robot import read_robot
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, triangles_of
 from planner.cell.urdf import read_urdf
 
-Array = NDArray[np.float64]
 SHARE = Path(coal.__file__).resolve().parents[4] / "share"
 
 YAML = """\

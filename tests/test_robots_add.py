@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, InputError, OutputError
 from planner.cell import pieces
 from planner.cell.bodies import BodyRules, read_bodies
@@ -33,7 +33,6 @@ from planner.robots.trial import trial
 from planner.verify.bodies import CellBodies, pairs
 from tests.public_arms import ARMS, urdf_of
 
-Array = NDArray[np.float64]
 KR10 = ARMS["KUKA KR 10 R1420"]
 
 

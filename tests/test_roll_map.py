@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from solved import small_plan
 
+from planner.base.arrays import Array
 from planner.cell.cell import build_cell
 from planner.collision.scene import Obstacles
 from planner.plan import Plan
@@ -33,7 +34,6 @@ from planner.resolve.roll_map import (
 )
 from planner.toolpath.task import NozzleTask
 
-Array = NDArray[np.float64]
 COLUMNS, ROLLS = 9, 24
 
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 
+from planner.base.arrays import Array
 from planner.toolpath.plane_paths import ROUNDING_LENGTH, PlaneCurve, round_corners
 from planner.toolpath.svg.outlines import PlanePath
 
-Array = NDArray[np.float64]
 TOLERANCE = 0.2e-3
 MM = 1e-3
 

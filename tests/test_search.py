@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from test_resolve import TURN
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, Limits
 from planner.problem import Problem
 from planner.resolve.joint_path import MARGIN, SampledTasks, spread
@@ -25,9 +25,6 @@ from planner.resolve.prices import (
 )
 from planner.resolve.search import JUMP, SPEED_SHARE, Route, best_route, greedy_route
 from planner.toolpath.task import NozzleTask
-
-Array = NDArray[np.float64]
-
 
 # --- the search -------------------------------------------------------------------------------------------------
 

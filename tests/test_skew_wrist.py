@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.kinematics.axes import OtherGeometry
 from planner.cell.kinematics.chain import Chain, refine
 from planner.cell.kinematics.inverse import branches_of, kind_of, solve_one, solver_of
@@ -15,7 +15,6 @@ from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 
 pytestmark = pytest.mark.slow  # the kernels of these arms alone take some 17 s to compile
 
-Array = NDArray[np.float64]
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 SIGMA = 0.01  # least singular value below which two postures are about to meet
 # by the makers' data sheets [m]: where each joint stands in the one before, and the flange behind the last one

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.collision.print_body import SLENDER, split, without_slivers
 
-Array = NDArray[np.float64]
 LONGEST = 0.02
 
 

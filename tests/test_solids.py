@@ -8,9 +8,9 @@ import pytest
 import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Packed, Solid, packed, triangles_of
 from planner.collision.point_tree import (
     FROM_THE_START,
@@ -24,7 +24,6 @@ from planner.collision.point_tree import (
     solid_distance,
 )
 
-Array = NDArray[np.float64]
 RNG = np.random.default_rng(3)
 HULL = Hull(np.random.default_rng(1).normal(size=(20, 3)) * 0.03)
 SOLIDS = [Box((0.05, 0.03, 0.02)), Frustum(0.01, 0.03, 0.04), Frustum(0.02, 0.0, 0.05), Capsule(0.01, 0.06), HULL]

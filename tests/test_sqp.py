@@ -9,9 +9,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from planner.base.arrays import Ints
+from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem import Problem, load_problem
@@ -60,7 +59,6 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, cones_of, make_tasks, tasks_of
 
-Array = NDArray[np.float64]
 BACKGROUND, WINDOWS = sys.modules["planner.base.processes"], sys.modules["planner.resolve.sqp"]
 MODULE = sys.modules["planner.resolve.sqp"]  # the package's attribute of that name is the strategy
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.resolve.follow import PosturesFollowed, follow
@@ -23,8 +24,6 @@ from planner.resolve.segment import HOLDER
 from planner.resolve.splines import Clock, basis_over, clock_of
 from planner.resolve.sqp import fit
 from planner.resolve.terms import model_of
-
-Array = NDArray[np.float64]
 
 # --- splines ----------------------------------------------------------------------------------------------------
 

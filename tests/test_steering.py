@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from solved import body_of, solve_alone, write_small
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.verify.steering import STRAIGHT, geodesic_curvature
 from planner.verify.verdict import Report, verify
 
-Array = NDArray[np.float64]
 MM = 1e-3
 SPAN = 4.8 * MM  # of a tow of 1.2 mm
 UP = np.array([0.0, 0.0, 1.0])

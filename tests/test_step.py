@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from OCP.BRep import BRep_Builder
 from OCP.BRepAlgoAPI import BRepAlgoAPI_Cut
 from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeFace
@@ -26,6 +25,7 @@ from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
 from scipy.interpolate import NdBSpline
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.collision.print_body import print_body
 from planner.planning.solve_command import main
@@ -39,8 +39,6 @@ from planner.toolpath.step.files import Damaged, Face, choose_faces, read_step
 from planner.toolpath.step.sampling import TOLERANCE, Sampling, sample_faces
 from planner.toolpath.step.splines import SplineSet, SplineSurface
 from planner.toolpath.step.top import faces_shape
-
-Array = NDArray[np.float64]
 
 PROBLEMS = Path(__file__).resolve().parents[1] / "problems"
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from OCP.BRepBuilderAPI import BRepBuilderAPI_GTransform, BRepBuilderAPI_MakeFace, BRepBuilderAPI_MakePolygon
 from OCP.BRepPrimAPI import BRepPrimAPI_MakePrism, BRepPrimAPI_MakeSphere
 from OCP.gp import gp_GTrsf, gp_Mat, gp_Pnt, gp_Vec, gp_XYZ
@@ -21,8 +20,6 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.step.files import read_step
 from planner.toolpath.step.top import FaceTop, UpperFaces
 from planner.toolpath.substrate.bodies import Ellipsoid
-
-Array = NDArray[np.float64]
 
 RADII = (95.0, 95.0, 60.0)
 BOWL = Ellipsoid(np.zeros(3), np.array(RADII) * 1e-3)

@@ -10,12 +10,12 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from solved import solve_alone
 
 from benchmarks.orientation import angles, published_axes
 from benchmarks.orientation import main as orientation
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
@@ -27,8 +27,6 @@ from planner.toolpath.substrate.mesh_surface import FacetTree, fit
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
 from planner.toolpath.substrate.projection import Substrate
-
-Array = NDArray[np.float64]
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "printbed_hemisphere.stl"
 COARSE = ("layers.count=1", "resolve.rung_mm=10", "resolve.roll_step_deg=30")

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
@@ -26,7 +26,6 @@ from planner.toolpath.svg.outlines import PlanePath, read_svg, read_svg_once
 ROOT = Path(__file__).resolve().parents[1]
 BRISTOL = ROOT.parent / "shared/data/bristol/uob_logo.svg"
 LOGO = ROOT / "problems/logo.svg"
-Array = NDArray[np.float64]
 SVG = "http://www.w3.org/2000/svg"
 Read = Callable[..., tuple[PlanePath, ...]]
 # A frame of 100 x 100 units around the geometry under test: at a width of 0.1 m one unit is one millimetre, and a point

@@ -10,10 +10,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.toolpath.svg.outlines import PlanePath, read_svg
 
-Array = NDArray[np.float64]
 SVG = "http://www.w3.org/2000/svg"
 # At a width of 0.1 m one unit is one millimetre, and a point (x, y) of the drawing comes out at (x - 50, 50 - y) mm.
 FRAME = '<rect x="0" y="0" width="100" height="100"/>'

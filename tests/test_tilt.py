@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from report_page import figures
 from solved import small_plan, solve_alone, write_small
 
+from planner.base.arrays import Array
 from planner.plan import Plan
 from planner.problem import load_problem
 from planner.report.html import write_report
@@ -19,7 +19,6 @@ from planner.verify.checks import bead_errors
 from planner.verify.executed import executed_motion
 from planner.verify.verdict import verify
 
-Array = NDArray[np.float64]
 CONE_DEG = 5.0
 CENTRE, WIDTH = np.array([31.4e-3, 37e-3]), 0.6e-3  # of the small problem's cylinder, and its beads
 

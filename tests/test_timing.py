@@ -11,19 +11,18 @@ import pytest
 import toppra
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linprog
 from toppra import algorithm, constraint
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, bound_time, fastest_without_jerk, time_path
 from planner.resolve.joint_path import JointPath, spread
 from planner.toolpath.task import NozzleTask
 
-Array = NDArray[np.float64]
 DT = 0.004
 
 

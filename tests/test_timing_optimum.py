@@ -8,11 +8,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from planner.base.arrays import Array
 from planner.cell.cell import Limits
 from planner.motion.timing.kernels import APART, OVERRUN, even_out, fastest, least_nearby, mean_nearby
 from planner.motion.timing.profile import ACCURACY, HEADROOM, Leg, LegLimits, curve_of, fastest_profile, leg_limits
 
-Array = NDArray[np.float64]
 Blocks = NDArray[np.bool_]
 Solution = tuple[Array, bool]
 JOINTS = 3

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 from scipy.special import ellipeinc
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem
 from planner.toolpath.bead import Bead, Toolpath
@@ -26,7 +26,6 @@ from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import NozzleTask, make_tasks
 from planner.toolpath.wrapped import Cylinder, wrap_layer
 
-Array = NDArray[np.float64]
 MM = 1e-3
 CYLINDER = Cylinder(0.034, 0.1, np.array([0.0314, 0.037]))
 

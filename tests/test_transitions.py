@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from solved import solve_alone
 
 from benchmarks.transitions import BLOCK, waved_block, write_stl
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
@@ -20,8 +20,6 @@ from planner.toolpath.volume.harmonic import departures, harmonic_departures
 from planner.toolpath.volume.sections import Morph
 from planner.verify.reread.harmonic import levels_off
 from planner.verify.verdict import verify
-
-Array = NDArray[np.float64]
 
 GAP, HALF = 5e-3, 10e-3  # m: of the surfaces, on an average, and of the domain along x
 PITCH = HALF / 30.0

@@ -10,8 +10,8 @@ import pytest
 import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState, extremes
@@ -28,7 +28,6 @@ from planner.toolpath.bead import Surface, Toolpath
 from planner.toolpath.runs import least_travel_time
 from planner.toolpath.wrapped import Cylinder
 
-Array = NDArray[np.float64]
 DT = 0.004
 PART = Cylinder(0.034, 0.1, np.array([0.0314, 0.037]))  # of the shipped problem
 

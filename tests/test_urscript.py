@@ -13,10 +13,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from export_fixtures import GOLDEN, golden_texts, make_plan, resting_in_a_bead
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from solved import BED, POSITIONER, solve_alone, write_small
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
@@ -35,7 +35,6 @@ from planner.export.urscript import (
 from planner.plan import Plan
 from planner.problem import load_problem
 
-Array = NDArray[np.float64]
 NAME = "TwoBeads.script"
 MOVE = re.compile(
     r"(move[pcj])\((?:pose_trans\(part, p\[[^]]*\]\), )?(?:pose_trans\(part, p)?\[([^]]*)\]\)?, a=([\d.]+), v=([\d.]+), r=([\d.]+)(?:, mode=0)?\)"

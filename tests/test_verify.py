@@ -41,6 +41,7 @@ from spoilt import (
     worst,
 )
 
+from planner.base.arrays import Array
 from planner.base.nearest import distance_to_polyline
 from planner.cell.cell import build_cell
 from planner.plan import TRAVEL, Plan, Trajectory
@@ -49,8 +50,6 @@ from planner.toolpath.bead import Bead
 from planner.toolpath.wrapped import Cylinder
 from planner.verify.executed import executed_motion
 from planner.verify.verdict import Report
-
-Array = NDArray[np.float64]
 
 CHECKS = {
     "all numbers finite",

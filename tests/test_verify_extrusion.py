@@ -17,6 +17,7 @@ from solved import body_of, small_plan, solve_alone, write_small
 from spoilt import paused, with_process
 
 import planner.planning.pipeline
+from planner.base.arrays import Array
 from planner.export.extruder import gcode
 from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan, Trajectory
@@ -28,7 +29,6 @@ from planner.verify.checks import samples_of
 from planner.verify.verdict import Report, verify
 from tests.export_fixtures import with_board
 
-Array = NDArray[np.float64]
 MM = 1e-3
 PACE = {"material keeps pace", "flow per millimetre"}
 ASKED = "primes, retracts and cuts as asked"

@@ -15,8 +15,8 @@ import shapely
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.collision.print_body import print_body
 from planner.motion.extrusion import bead_area
@@ -29,7 +29,6 @@ from planner.toolpath.substrate.mesh_surface import LastTrees
 from planner.toolpath.volume.layers import walls, zigzag
 from planner.toolpath.volume.sections import NotClosed, Solid
 
-Array = NDArray[np.float64]
 Top = Callable[[Array, Array], Array]
 
 OUTER, INNER, MIDDLE, RISE = 15e-3, 6e-3, 3e-3, 0.9e-3  # m: what problems/draw_saddle_ring.py draws

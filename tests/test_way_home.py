@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import SampledTasks
@@ -18,7 +18,6 @@ from planner.resolve.search import Route, best_route, joint_limits, label_turns,
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
-Array = NDArray[np.float64]
 SETTINGS = ["layers.count=1", "resolve.rung_mm=20", "resolve.roll_step_deg=45", "resolve.table_step_deg=90"]
 Searched = tuple[Problem, Cell, tuple[NozzleTask, ...], SampledTasks, Nodes]
 

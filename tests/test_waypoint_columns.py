@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from test_waypoints import case_text
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import load_problem
@@ -26,7 +26,6 @@ from planner.toolpath.waypoints.reader import NEEDED, OPTIONAL, Waypoints, read_
 from planner.verify.reread.plane_curves import NotRead
 from planner.verify.reread.points import segments_of
 
-Array = NDArray[np.float64]
 HEADER = "x,y,z,nx,ny,nz"
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from benchmarks.peer_cases import CASES, SHIPPED, cap, cylinder, waypoint_text, write_case
 from benchmarks.scaling import sheet
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.geometry import arc_lengths
 from planner.base.nearest import distance_to_polyline
@@ -29,7 +29,6 @@ from planner.toolpath.waypoints.nearest import ALWAYS, FAR
 from planner.toolpath.waypoints.reader import Waypoints, distinct, read_waypoints
 from planner.toolpath.waypoints.surfels import Surfels, with_layers
 
-Array = NDArray[np.float64]
 CHEN = Path(__file__).resolve().parents[2] / "shared" / "data" / "chen2025" / "freeform_25.txt"
 TOLERANCE = 0.2e-3
 APART = 0.3e-3

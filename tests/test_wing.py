@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from benchmarks.wing import CASES
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.problem import Problem, load_problem
 from planner.problem.layers import AerofoilLayersSpec
@@ -22,7 +22,6 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.wing.section import AerofoilSection, TooUneven, naca_section, parallels, section_through
 from planner.toolpath.wing.strips import CurvedStrip, FlatStrip, LayeredSolid
 
-Array = NDArray[np.float64]
 HEIGHT = 0.5e-3
 CHORD_LINE = 8.7016e-3
 

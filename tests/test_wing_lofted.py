@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from test_reread import found
 
+from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.problem import Problem, load_problem
@@ -24,7 +24,6 @@ from planner.toolpath.wing.sheets import CurvedSheet, FlatSheet, LoftedSide, Spa
 from planner.toolpath.wing.support import check_support
 from planner.verify.reread.places import FILLED
 
-Array = NDArray[np.float64]
 HEIGHT = WIDTH = 0.5e-3
 SPAN = 10e-3
 JOINED = "layers.passes=joined"

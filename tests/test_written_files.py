@@ -11,15 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from solved import bed_plan, small_plan
 
+from planner.base.arrays import Array
 from planner.base.progress import STAGES
 from planner.plan import Plan
 from planner.planning.pipeline import write
-
-Array = NDArray[np.float64]
 
 
 class Files:

@@ -9,7 +9,6 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt  # after the choice of its backend
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.drawings.scene import (
     INK,
@@ -24,13 +23,13 @@ from benchmarks.drawings.scene import (
     holder_shapes,
     shape_of,
 )
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.cell.solids import Body, Capsule
 from planner.problem import load_problem
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
-Array = NDArray[np.float64]
 PROBLEM = "cylinder_logo"
 CAP, CAP_RADIUS, CAP_PLACE = "peer_cap", 0.1195, 0.9  # a ball, its radius below the beads and a place on its spiral [m]
 ROLLS = (60.0, 160.0, 180.0, 240.0)  # deg

@@ -16,6 +16,7 @@ from scipy.interpolate import make_interp_spline
 
 from benchmarks.drawings.cells import CAP, DPI
 from benchmarks.drawings.scene import INK
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.collision.print_body import print_body, standing
 from planner.collision.scene import NOTHING, obstacles_of
@@ -26,7 +27,6 @@ from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
 
-Array = NDArray[np.float64]
 PLACES, ROLLS = 320, 180  # of the map
 SHOWN = {"sqp": ("white", "-", 2.4), "ladder": ("#ff8c42", "--", 1.3)}
 LOGO = ("cylinder_logo", "layers.count=1")

@@ -10,13 +10,12 @@ import pinocchio as pin
 import trimesh
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
-from numpy.typing import NDArray
 
+from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.cell.robot import Robot
 from planner.cell.solids import Body, Frustum, triangles_of
 
-Array = NDArray[np.float64]
 FINEST = 0.04  # m: triangles are cut to this size, so that nearer ones hide farther ones
 LIGHT = np.array([0.45, 0.5, 0.74])  # the drawings look at the cell from +x, +y
 VIEW = (18, 62)  # degrees of elevation and azimuth: there

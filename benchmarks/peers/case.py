@@ -9,17 +9,15 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from benchmarks.peer_cases import CASES as MEASURED
 from benchmarks.peer_cases import write_case as write_problem
+from planner.base.arrays import Array
 from planner.cell.cell import Cell, build_cell
 from planner.cell.kinematics.chain import Chain
 from planner.planning.context import PlanningContext, context_of
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
-
-Array = NDArray[np.float64]
 
 ROOM = np.radians(0.5)  # by which a peer's joint ranges are narrower than those it is judged by
 WAYPOINTS, ROBOT, LIMITS = "waypoints.csv", "robot.urdf", "limits.json"

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.rows import Row, at_waypoints, judged
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.collision.scene import NOTHING, Obstacles
@@ -20,8 +20,6 @@ from planner.planning.pipeline import trajectory_of
 from planner.resolve.joint_path import JointPath
 from planner.verify.checks import SPEED_TOLERANCE
 from planner.verify.verdict import AXIS_TOLERANCE, POSITION_TOLERANCE, Report, verify
-
-Array = NDArray[np.float64]
 
 BETWEEN = 5.0  # times what is allowed at waypoints: how far tip and axis may stray between two of them
 FRACTIONS = (0.25, 0.5, 0.75)  # of the way between two waypoints
