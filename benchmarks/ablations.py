@@ -15,6 +15,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from benchmarks.ideas import FROZEN, HELD, IDEAS, NAMES, NOT_SWITCHED, Idea
 from benchmarks.named import coarse, load_named
 from benchmarks.report import cell, table
@@ -89,9 +90,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.ablations", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    command = parser_of("ablations", __doc__)
     command.add_argument(
         "--problems", nargs="+", default=PROBLEMS, metavar="NAME", help=f"default: {', '.join(PROBLEMS)}"
     )

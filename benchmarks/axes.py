@@ -8,7 +8,6 @@ is not free is held, the tilt cone's two axes at none.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -20,12 +19,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import parser_of, told
 from benchmarks.memory import Peak
 from benchmarks.peer_cases import cap, waypoint_text
 from benchmarks.rows import Row, Run, append_row, check_columns, row_of_plan, row_without_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.base.progress import Stages
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -103,32 +103,25 @@ def measure(axes: Axes, waypoints: int, strategy: str) -> Row:
     return row_of_plan(run, plan, stages.seconds, Usage(cpu_seconds() - before, peak.mb))
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.axes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("axes", __doc__)
     parser.add_argument("--waypoints", type=int, default=WAYPOINTS)
     parser.add_argument("--strategy", choices=STRATEGY_NAMES, default="sqp")
     parser.add_argument("--out", type=Path, metavar="CSV", help="append a row of each to this file")
     options = parser.parse_args(arguments)
     table = Table("free", "axes", "verified", *(name for name, _ in FIGURES), title=f"{options.waypoints} waypoints")
     n = len(CASES)
-    try:
-        if options.out is not None:
-            check_columns(options.out)
-        with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-            rows = pool.map(measure, CASES, [options.waypoints] * n, [options.strategy] * n)
-            for axes, row in zip(CASES, rows, strict=True):
-                if options.out is not None:
-                    append_row(options.out, row)
-                figures = [f"{row[name]:.{digits}f}" if row["found"] else "" for name, digits in FIGURES]
-                table.add_row(
-                    f"{axes.count}", axes.words, "yes" if row["verified"] else f"no: {row['reason']}", *figures
-                )
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    if options.out is not None:
+        check_columns(options.out)
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        rows = pool.map(measure, CASES, [options.waypoints] * n, [options.strategy] * n)
+        for axes, row in zip(CASES, rows, strict=True):
+            if options.out is not None:
+                append_row(options.out, row)
+            figures = [f"{row[name]:.{digits}f}" if row["found"] else "" for name, digits in FIGURES]
+            table.add_row(f"{axes.count}", axes.words, "yes" if row["verified"] else f"no: {row['reason']}", *figures)
     Console(width=200).print(table)
     return EXIT_VERIFIED
 

@@ -10,7 +10,8 @@ import sys
 import time
 from collections.abc import Sequence
 
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from benchmarks.command import told
+from planner.base.errors import EXIT_VERIFIED
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
 from planner.resolve.ladder import PIECE, ladder_route, lower_bound
@@ -18,6 +19,7 @@ from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bound", description=__doc__)
@@ -25,19 +27,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--piece", type=int, default=PIECE, help="rungs searched at once: more is tighter and larger")
     options = parser.parse_args(arguments)
-    try:
-        problem = load_problem(options.problem, options.set)
-        cell = build_cell(problem)
-        tasks = tasks_of(problem, build_toolpath(problem))
-        ladder_route(cell, tasks, problem.resolve)  # compiles
-        started = time.perf_counter()
-        found = ladder_route(cell, tasks, problem.resolve)
-        searched = time.perf_counter()
-        bound = lower_bound(cell, found, problem.resolve.min_sigma, options.piece)
-        ended = time.perf_counter()
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    problem = load_problem(options.problem, options.set)
+    cell = build_cell(problem)
+    tasks = tasks_of(problem, build_toolpath(problem))
+    ladder_route(cell, tasks, problem.resolve)  # compiles
+    started = time.perf_counter()
+    found = ladder_route(cell, tasks, problem.resolve)
+    searched = time.perf_counter()
+    bound = lower_bound(cell, found, problem.resolve.min_sigma, options.piece)
+    ended = time.perf_counter()
     price = found.route.price
     ideal = float(found.demand.weight.sum())
     print(f"{problem.name} {' '.join(options.set)}".strip())

@@ -11,7 +11,6 @@ processes together. The exit code is 1 where one takes longer or more memory tha
 
 from __future__ import annotations
 
-import argparse
 import csv
 import subprocess
 import sys
@@ -26,6 +25,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import parser_of
 from benchmarks.memory import held_mb
 from benchmarks.usage import ROOT, cpu_seconds, machine
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
@@ -383,9 +383,7 @@ def show_model(console: Console) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.budgets", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("budgets", __doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(CASES)}; default: all")
     parser.add_argument(
         "--wait", type=float, default=2.0, metavar="TIMES", help="of its seconds, after which one is ended"

@@ -10,7 +10,6 @@ from waypoint to waypoint; it is given for the start (the ladder) and for what e
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
@@ -22,8 +21,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import make_interp_spline
 
+from benchmarks.command import parser_of, told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.cell.cell import build_cell
 from planner.collision.scene import NOTHING
 from planner.planning.pipeline import solve
@@ -115,36 +115,31 @@ def row(problem: Problem, strategy: str, start: float | None) -> tuple[list[str]
     return cells, value
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.chen", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("chen", __doc__)
     parser.add_argument("file", type=Path, help="one of their tool paths")
     parser.add_argument("--strategy", nargs="+", choices=STRATEGY_NAMES, default=["sqp"])
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS, title="limits at 10 mm/s: theirs; at 40 mm/s: the robots' own", title_justify="left")
-    try:
-        for speed in SPEEDS:
-            with tempfile.TemporaryDirectory() as folder:
-                path = Path(folder) / "chen.yaml"
-                limits = f", {THEIR_LIMITS}" if speed == SPEEDS[0] else ""
-                text = PROBLEM.format(file=options.file.resolve(), limits=limits, speed=speed)
-                path.write_text(text, encoding="utf-8")
-                problem = load_problem(path, options.set)
-            start = None
-            for strategy in (START, *(name for name in options.strategy if name != START)):
-                try:
-                    cells, value = row(problem, strategy, start)
-                except Refusal as refusal:
-                    table.add_row(f"{speed:g}", strategy, f"no plan: {refusal}")
-                    continue
-                start = value if strategy == START else start
-                table.add_row(*cells)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    for speed in SPEEDS:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "chen.yaml"
+            limits = f", {THEIR_LIMITS}" if speed == SPEEDS[0] else ""
+            text = PROBLEM.format(file=options.file.resolve(), limits=limits, speed=speed)
+            path.write_text(text, encoding="utf-8")
+            problem = load_problem(path, options.set)
+        start = None
+        for strategy in (START, *(name for name in options.strategy if name != START)):
+            try:
+                cells, value = row(problem, strategy, start)
+            except Refusal as refusal:
+                table.add_row(f"{speed:g}", strategy, f"no plan: {refusal}")
+                continue
+            start = value if strategy == START else start
+            table.add_row(*cells)
     Console(width=160).print(table)
     return EXIT_VERIFIED
 

@@ -14,7 +14,8 @@ from typing import TypeVar
 from rich.console import Console
 from rich.table import Table
 
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from benchmarks.command import told
+from planner.base.errors import EXIT_VERIFIED
 from planner.cell.cell import build_cell
 from planner.collision.scene import NOTHING, Obstacles, obstacles_of
 from planner.motion.timing.timed_path import time_path
@@ -57,6 +58,7 @@ def seconds(problem: Problem, aware: bool) -> tuple[list[float], float]:
     return [building if aware else 0.0, searching, refining, timing, travelling], 1e3 * least
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.collision_cost", description=__doc__)
@@ -64,17 +66,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS, title="CPU time in s: with obstacles / without", title_justify="left")
-    try:
-        for name in options.problems:
-            problem = load_problem(name, options.set)
-            seconds(problem, True)  # compiles
-            (own, least), (bare, _) = seconds(problem, True), seconds(problem, False)
-            cells = [f"{a:.2f} / {b:.2f}" for a, b in zip(own, bare, strict=True)]
-            together = f"{sum(own):.2f} / {sum(bare):.2f}"
-            table.add_row(name, *cells, together, f"{sum(own) / sum(bare):.2f}", f"{least:.2f} mm")
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    for name in options.problems:
+        problem = load_problem(name, options.set)
+        seconds(problem, True)  # compiles
+        (own, least), (bare, _) = seconds(problem, True), seconds(problem, False)
+        cells = [f"{a:.2f} / {b:.2f}" for a, b in zip(own, bare, strict=True)]
+        together = f"{sum(own):.2f} / {sum(bare):.2f}"
+        table.add_row(name, *cells, together, f"{sum(own) / sum(bare):.2f}", f"{least:.2f} mm")
     Console(width=170).print(table)
     return EXIT_VERIFIED
 

@@ -20,8 +20,9 @@ from rich.table import Table
 from scipy.interpolate import make_lsq_spline
 from scipy.signal import lfilter, medfilt, savgol_filter
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
+from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.cell.cell import Cell, build_cell
 from planner.export.fit import from_matrix
 from planner.export.player.model import ABB, MotionModel
@@ -385,17 +386,14 @@ def compared(data: Path, model: MotionModel = ABB) -> list[Compared]:
     return [Compared(each, measured(each.t, each.tip, each), predicted(cell, each, model)) for each in found]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.controller", description=__doc__)
     parser.add_argument("data", type=Path, metavar="DATA")
     parser.add_argument("--all", action="store_true", help="a row for each run")
     options = parser.parse_args(arguments)
-    try:
-        found = compared(options.data)
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    found = compared(options.data)
     if options.all:
         runs = Table(*COLUMNS, title="Recorded / predicted", title_justify="left")
         for each in found:

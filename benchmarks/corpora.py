@@ -10,7 +10,6 @@ as much of it as they should; those of a logo lie on the cylinder and are as lon
 
 from __future__ import annotations
 
-import argparse
 import random
 import re
 import signal
@@ -29,6 +28,7 @@ import shapely
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import parser_of
 from benchmarks.corpus_archives import ARCHIVES, NoArchive
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError, PlannerError
 from planner.planning.pipeline import solve
@@ -200,9 +200,7 @@ def report(outcomes: Sequence[Outcome], seconds: float) -> Table:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.corpora", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("corpora", __doc__)
     parser.add_argument("corpus", choices=sorted(ARCHIVES))
     parser.add_argument("--archive", type=Path, metavar="FILE", help="the package's file; default: it is downloaded")
     parser.add_argument("--sample", type=int, metavar="N", help="so many files; default: all")

@@ -15,8 +15,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.layers import FaceLayersSpec
@@ -110,6 +111,7 @@ def measured(lines: Sequence[SurfaceLine], looks: Array, spacing: float, speed: 
     ]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage", description=__doc__.split("\n")[0])
@@ -120,13 +122,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS)
-    try:
-        for name in options.problems or PROBLEMS:
-            for row in rows_of(name, options.set, options.plan):
-                table.add_row(*row)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    for name in options.problems or PROBLEMS:
+        for row in rows_of(name, options.set, options.plan):
+            table.add_row(*row)
     console = Console(width=160)
     console.print(table)
     console.print(

@@ -7,12 +7,12 @@ One layer, `--width` mm wide, or with --width 0 as large as a DXF file says. Exi
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from benchmarks.files_tried import Found, try_all
 from planner.base.command_line import exit_code
 from planner.problem import load_problem
@@ -34,11 +34,7 @@ def laid(path: Path, width: float) -> Found:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.drawing_files",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("drawing_files", __doc__)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--width", type=float, default=WIDTH, metavar="MM", help="of a drawing; 0: as drawn")
     parser.add_argument("--csv", type=Path, metavar="FILE.csv", help="write a table")

@@ -8,7 +8,6 @@ faces' extent apart. Exit code 1 for a crash.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from functools import partial
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from benchmarks.files_tried import Found, try_all
 from planner.base.command_line import exit_code
 from planner.base.errors import InputError
@@ -63,9 +63,7 @@ def read(path: Path, cover: bool) -> Found:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.faces", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("faces", __doc__)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
     parser.add_argument("--cover", action="store_true", help="cover the face of the largest extent")
     parser.add_argument("--csv", type=Path, metavar="FILE.csv", help="write a table")

@@ -6,7 +6,6 @@ python -m benchmarks.loop hemisphere_honeycomb --out honeycomb.webp
 
 from __future__ import annotations
 
-import argparse
 import io
 import sys
 import tempfile
@@ -16,12 +15,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from playwright.sync_api import Page
-from rich.console import Console
 
 from benchmarks.browser import chromium, page_of
+from benchmarks.command import parser_of, told
 from benchmarks.screenshots import LOGO, PICTURES
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.plan import Plan
 from planner.planning.pipeline import load, solve
 from planner.report.html import write_report
@@ -49,20 +48,15 @@ DRAWN = """(t) => new Promise((done) => {
 BARE = "#letters, .views, .legend, #card-box { visibility: hidden !important; }"
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 1 for a picture of more bytes than a README should load."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.loop", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("loop", __doc__)
     parser.add_argument("problem", nargs="?", default=LOGO, help=f"default: {LOGO}")
     parser.add_argument("--out", type=Path, default=PICTURES / "printing.webp", metavar="FILE")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", dest="changes")
     options = parser.parse_args(arguments)
-    try:
-        size = write_loop(options.problem, options.changes, options.out)
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    size = write_loop(options.problem, options.changes, options.out)
     print(f"{options.out.name}: {FRAMES} pictures, {size / 1e3:.0f} kB")
     return EXIT_VERIFIED if size <= MOST else 1
 

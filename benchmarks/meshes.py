@@ -17,6 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from benchmarks.mesh_runs import COLUMNS, KINDS, MeshJob, Row
 from benchmarks.own_process import in_own_process
 from benchmarks.run import some_seconds
@@ -82,9 +83,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the command."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.meshes", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    command = parser_of("meshes", __doc__)
     command.add_argument("folder", type=Path, metavar="FOLDER", help="where the meshes are, at any depth")
     command.add_argument(
         "--cell", default="hemisphere_honeycomb", metavar="PROBLEM", help="whose cell and process are used"

@@ -6,21 +6,18 @@ python -m benchmarks.nlp
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.base.versions import versions
+from benchmarks.usage import footer
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.problem.settings import ResolveSpec
@@ -114,8 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         times = [f"{fast:.3f}", f"{slow:.1f}", f"{slow / fast:.0f}"]
         table.add_row(case.label, str(n), *prices, f"{sqp / nlp:.4f}", *times, f"{solution.status} ({solution.steps})")
     Console(width=150).print(table)
-    used = ", ".join(f"{name} {number}" for name, number in {**versions(), "casadi": version("casadi")}.items())
-    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    print(footer("casadi"))
     return 0
 
 

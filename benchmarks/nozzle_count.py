@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.command import parser_of
 from benchmarks.waypoint_files import Meaning, files_in, look_at, place
 from planner.base.arrays import Array, Ints
 from planner.base.command_line import exit_code
@@ -28,6 +29,7 @@ from planner.base.compiled import njit
 from planner.base.errors import EXIT_VERIFIED, PlannerError
 from planner.cell.bodies import nozzle_profile
 from planner.planning.context import found_anywhere
+from planner.planning.options import add_set
 from planner.problem import Problem, load_problem
 from planner.problem.layers import WaypointLayersSpec, WaypointsSpec
 from planner.toolpath.waypoints.reader import read_waypoints
@@ -142,19 +144,13 @@ def run(options: argparse.Namespace) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.nozzle_count",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = parser_of("nozzle_count", __doc__)
     command.add_argument("folder", type=Path, metavar="FOLDER", help="where the files are, at any depth")
     command.add_argument(
         "--cell", required=True, metavar="PROBLEM", help="whose nozzle and bead are used: file or name"
     )
     command.add_argument("--pattern", action="append", default=[], metavar="GLOB", help="only these files; repeatable")
-    command.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of the problem"
-    )
+    add_set(command)
     options = command.parse_args(arguments)
     return exit_code(lambda: run(options), lambda text: print(text, file=sys.stderr), "")
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
-import platform
 import sys
 import tempfile
 import time
@@ -21,9 +19,10 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks import peer_cases, scaling, strategies
+from benchmarks.command import told
 from benchmarks.run import whole_number
-from planner.base.errors import EXIT_VERIFIED, PlannerError
-from planner.base.versions import versions
+from benchmarks.usage import footer
+from planner.base.errors import EXIT_VERIFIED
 from planner.cell.cell import build_cell
 from planner.problem import Problem, load_problem
 from planner.resolve.ladder import coarse_nodes, ladder
@@ -69,6 +68,7 @@ def refined(problem: Problem) -> list[str]:
     return [f"refinement of {problem.name}, {n} samples, {1e3 * length / n:.2f} mm apart", rate]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.optimiser", description=__doc__)
@@ -80,29 +80,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     console = Console(width=150)
-    try:
-        chosen = [*LAYER, *options.set]
-        logos = [load_problem("cylinder_logo", chosen)]
-        if options.logo is not None:
-            other = load_problem("cylinder_logo", [*chosen, f"layers.source.svg={options.logo.resolve()}"])
-            logos.append(other.model_copy(update={"name": options.logo.stem}))
-        for problem in logos:
-            table = Table(*strategies.COLUMNS, title=f"{problem.name}, one layer", title_justify="left")
-            for strategy in COMPARED:
-                table.add_row(*strategies.row(strategy, problem, strategy))
-            console.print(table)
-        rates = Table("CPU time, all cores together", "rate")
-        rates.add_row(*searched(options.cases))
-        for problem in logos:
-            rates.add_row(*refined(problem))
-        console.print(rates)
-        peer_cases.main(["--waypoints", f"{options.cases}", "--strategy", "sqp"])
-        scaling.main(["--waypoints", *map(str, options.sizes)])
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
-    used = ", ".join(f"{name} {version}" for name, version in versions().items())
-    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    chosen = [*LAYER, *options.set]
+    logos = [load_problem("cylinder_logo", chosen)]
+    if options.logo is not None:
+        other = load_problem("cylinder_logo", [*chosen, f"layers.source.svg={options.logo.resolve()}"])
+        logos.append(other.model_copy(update={"name": options.logo.stem}))
+    for problem in logos:
+        table = Table(*strategies.COLUMNS, title=f"{problem.name}, one layer", title_justify="left")
+        for strategy in COMPARED:
+            table.add_row(*strategies.row(strategy, problem, strategy))
+        console.print(table)
+    rates = Table("CPU time, all cores together", "rate")
+    rates.add_row(*searched(options.cases))
+    for problem in logos:
+        rates.add_row(*refined(problem))
+    console.print(rates)
+    peer_cases.main(["--waypoints", f"{options.cases}", "--strategy", "sqp"])
+    scaling.main(["--waypoints", *map(str, options.sizes)])
+    print(footer())
     return EXIT_VERIFIED
 
 

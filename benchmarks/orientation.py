@@ -18,8 +18,9 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.toolpath.bead import Bead
@@ -57,6 +58,7 @@ def facet_normals(body: MeshTop, bead: Bead, rise: float) -> Array:
     return body.facets.normals[found]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.orientation", description=__doc__)
@@ -65,24 +67,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed", action="store_true", help="also plan both, and tell how fast they are")
     options = parser.parse_args(arguments)
     changes = (*options.set, "layers.count=1", "layers.offset=normal")
-    try:
-        problem = load_problem(options.problem, changes)
-        normals = np.vstack([bead.normals for bead in build_toolpath(problem).beads])
-        _tell("equation (3), axis off the normal", angles(published_axes(normals), -normals))
-        sphere = None if problem.part is None else problem.part.sphere
-        if sphere is None:
-            _tell_of_facets(options.problem, changes, None, options.speed)
-            return EXIT_VERIFIED
-        ball = Ball(sphere.radius, np.asarray(sphere.centre))
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "ball.stl"
-            file.write_bytes(meshed(sphere.radius))
-            origin = ", ".join(f"{x * 1e3:.9g}" for x in sphere.centre)
-            mesh = ("part.sphere=null", f'part.mesh={{file: "{file}", origin_mm: [{origin}]}}')
-            _tell_of_facets(options.problem, (*changes, *mesh), ball, options.speed)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    problem = load_problem(options.problem, changes)
+    normals = np.vstack([bead.normals for bead in build_toolpath(problem).beads])
+    _tell("equation (3), axis off the normal", angles(published_axes(normals), -normals))
+    sphere = None if problem.part is None else problem.part.sphere
+    if sphere is None:
+        _tell_of_facets(options.problem, changes, None, options.speed)
+        return EXIT_VERIFIED
+    ball = Ball(sphere.radius, np.asarray(sphere.centre))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "ball.stl"
+        file.write_bytes(meshed(sphere.radius))
+        origin = ", ".join(f"{x * 1e3:.9g}" for x in sphere.centre)
+        mesh = ("part.sphere=null", f'part.mesh={{file: "{file}", origin_mm: [{origin}]}}')
+        _tell_of_facets(options.problem, (*changes, *mesh), ball, options.speed)
     return EXIT_VERIFIED
 
 

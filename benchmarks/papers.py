@@ -20,7 +20,8 @@ from rich.console import Console
 from rich.table import Table
 from ruamel.yaml import YAML
 
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from benchmarks.command import told
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.cell.cell import build_cell
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -218,6 +219,7 @@ def planned(name: str) -> tuple[list[str], bool]:
     ], plan.verified
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.papers", description=__doc__.split("\n")[0])
@@ -225,27 +227,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--solve", action="store_true", help="plan and verify each problem, too")
     options = parser.parse_args(arguments)
     console, good = Console(width=150), True
-    try:
-        for paper in options.paper:
-            figures = PAPERS[paper]()
-            rebuilt = {figure.problem: Rebuilt(figure.problem) for figure in figures}
-            table = Table("problem", "figure", "paper", "here", "", title=paper.capitalize(), title_justify="left")
-            for figure in figures:
-                found = figure.here(rebuilt[figure.problem])
-                good = good and figure.holds(found)
-                note = "same" if is_same(figure.paper, found) else figure.differs or "DIFFERS"
-                table.add_row(figure.problem, figure.what, shown(figure.paper), shown(found), note)
+    for paper in options.paper:
+        figures = PAPERS[paper]()
+        rebuilt = {figure.problem: Rebuilt(figure.problem) for figure in figures}
+        table = Table("problem", "figure", "paper", "here", "", title=paper.capitalize(), title_justify="left")
+        for figure in figures:
+            found = figure.here(rebuilt[figure.problem])
+            good = good and figure.holds(found)
+            note = "same" if is_same(figure.paper, found) else figure.differs or "DIFFERS"
+            table.add_row(figure.problem, figure.what, shown(figure.paper), shown(found), note)
+        console.print(table)
+        if options.solve:
+            table = Table("problem", "verified", "layers, beads", "length m", "at speed", "print s", "planned in s")
+            for name in rebuilt:
+                row, verified = planned(name)
+                table.add_row(*row)
+                good = good and verified
             console.print(table)
-            if options.solve:
-                table = Table("problem", "verified", "layers, beads", "length m", "at speed", "print s", "planned in s")
-                for name in rebuilt:
-                    row, verified = planned(name)
-                    table.add_row(*row)
-                    good = good and verified
-                console.print(table)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
     return EXIT_VERIFIED if good else EXIT_NOT_VERIFIED
 
 

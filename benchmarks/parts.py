@@ -32,8 +32,9 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import cKDTree
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.problem import load_problem, shipped_problems
 from planner.report.picture import draw_picture
 from planner.toolpath.bead import Bead, Toolpath
@@ -136,6 +137,7 @@ def _figures(plan: dict[str, Any], seconds: float, layers: Spacing | None) -> li
     ]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 0 if every plan is verified."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.parts", description=__doc__)
@@ -144,14 +146,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS, title=f"{os.cpu_count()} cores, {platform.machine()}")
     verified = True
-    try:
-        for name in options.problems or shipped_problems():
-            cells, good = row(name, options.pictures)
-            table.add_row(*cells)
-            verified &= good
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    for name in options.problems or shipped_problems():
+        cells, good = row(name, options.pictures)
+        table.add_row(*cells)
+        verified &= good
     Console(width=190).print(table)
     return EXIT_VERIFIED if verified else 3
 

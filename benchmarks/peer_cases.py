@@ -20,9 +20,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.interpolate import CubicSpline
 
+from benchmarks.command import told
 from benchmarks.usage import peak_mb
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.base.progress import Stages
 from planner.plan import Plan
 from planner.planning.pipeline import solve
@@ -199,6 +200,7 @@ def row(name: str, strategy: str, waypoints: int) -> list[str]:
     ]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.peer_cases", description=__doc__)
@@ -213,15 +215,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_VERIFIED
     title = f"{options.waypoints} waypoints, joint step and margin in rad; time without the baseline's plan"
     table = Table(*COLUMNS, title=title, title_justify="left")
-    try:
-        # a process for each row: its peak memory is its own
-        with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-            jobs = [(name, strategy, options.waypoints) for name in options.case for strategy in options.strategy]
-            for cells in pool.map(row, *zip(*jobs, strict=True)):
-                table.add_row(*cells)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    # a process for each row: its peak memory is its own
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        jobs = [(name, strategy, options.waypoints) for name in options.case for strategy in options.strategy]
+        for cells in pool.map(row, *zip(*jobs, strict=True)):
+            table.add_row(*cells)
     Console(width=150).print(table)
     return EXIT_VERIFIED
 

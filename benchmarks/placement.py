@@ -18,8 +18,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from planner.base.distribution import crew
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
 from planner.place.command import METRICS, best_of, draw_map, outcomes, words
@@ -70,6 +71,7 @@ def _cells(outcome: PlaceOutcome, names: Sequence[str]) -> list[str]:
     return [words(outcome.place, names), f"{outcome.score:.2f}", *figures]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.placement", description=__doc__)
@@ -77,14 +79,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--maps", type=Path, metavar="DIR", help="draw each map there")
     options = parser.parse_args(arguments)
     table = Table("problem", "place", "score", *(heading for _, heading, _, _ in METRICS), "sigma gained", "search s")
-    try:
-        for name in options.problems or PROBLEMS:
-            for cells in rows(name, PROBLEMS.get(name, []), options.maps):
-                table.add_row(*cells)
-            print(f"{name}: done", file=sys.stderr)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    for name in options.problems or PROBLEMS:
+        for cells in rows(name, PROBLEMS.get(name, []), options.maps):
+            table.add_row(*cells)
+        print(f"{name}: done", file=sys.stderr)
     Console(width=190).print(table)
     return EXIT_VERIFIED
 

@@ -8,7 +8,6 @@ that it is compiled from. The profiler itself costs something at every call from
 
 from __future__ import annotations
 
-import argparse
 import cProfile
 import pstats
 import sys
@@ -22,6 +21,8 @@ from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+
+from benchmarks.command import parser_of, told
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST = 25  # functions that are shown
@@ -87,11 +88,10 @@ def dearest(profile: cProfile.Profile, most: int = MOST) -> list[tuple[str, int,
     return sorted(rows, key=lambda row: -row[2])[:most]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.profile", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("profile", __doc__)
     parser.add_argument("problem", help="a problem file, a shipped one's name, or peer_cap@10000")
     parser.add_argument("--strategy", default="sqp")
     parser.add_argument("--most", type=int, default=MOST, help="functions to show")
@@ -105,21 +105,17 @@ def _profile(name: str, strategy: str, most: int) -> int:
 
     from benchmarks.named import load_named
     from benchmarks.single import warm_up
-    from planner.base.errors import EXIT_VERIFIED, PlannerError
+    from planner.base.errors import EXIT_VERIFIED
     from planner.planning.pipeline import solve
 
     seconds: dict[str, float] = {}
     profile = cProfile.Profile(time.process_time)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            problem = load_named(name, (), Path(folder))
-            warm_up(problem, strategy)
-            profile.enable()
-            plan = solve(problem, strategy, stages=stage_clock(seconds), baseline=False)
-            profile.disable()
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    with tempfile.TemporaryDirectory() as folder:
+        problem = load_named(name, (), Path(folder))
+        warm_up(problem, strategy)
+        profile.enable()
+        plan = solve(problem, strategy, stages=stage_clock(seconds), baseline=False)
+        profile.disable()
     whole = sum(seconds.values())
     stages = Table("stage", "CPU s", "share", title=f"{name}, {int(plan.metrics['waypoints'])} waypoints, {strategy}")
     for stage, value in seconds.items():

@@ -16,7 +16,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from benchmarks.command import told
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.export.in_step import laid_filament
 from planner.export.moves import FitFigures, Moves, deposits, fit_of, plan_moves, rests_of
 from planner.export.player.play import limited, play
@@ -119,6 +120,7 @@ def row(plan: Plan) -> tuple[list[str], list[str]]:
     return cells, found.differences()
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.programs", description=__doc__)
@@ -128,18 +130,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     first = Table(*ASKED, title="What programs ask of a controller", title_justify="left")
     second = Table(*PLAYED, title="Programs as they are played, against their plans", title_justify="left")
     code = EXIT_VERIFIED
-    try:
-        for name in options.problems or shipped_problems():
-            plan = solve(load_problem(name, options.set))
-            first.add_row(name, *asked(plan))
-            cells, differences = row(plan)
-            second.add_row(name, *cells)
-            for difference in differences:
-                Console(stderr=True).print(f"{name}: {difference}", markup=False)
-                code = EXIT_NOT_VERIFIED
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    for name in options.problems or shipped_problems():
+        plan = solve(load_problem(name, options.set))
+        first.add_row(name, *asked(plan))
+        cells, differences = row(plan)
+        second.add_row(name, *cells)
+        for difference in differences:
+            Console(stderr=True).print(f"{name}: {difference}", markup=False)
+            code = EXIT_NOT_VERIFIED
     for table in (first, second):
         Console(width=180).print(table)
     return code

@@ -22,6 +22,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from benchmarks.rows import BETWEEN, EMPTY, Row, Run, read_rows, row_without_plan
 from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
@@ -32,7 +33,7 @@ from planner.base.errors import EXIT_VERIFIED, InputError, PlannerError
 from planner.cell.cell import build_cell
 from planner.place.site import reach
 from planner.planning.context import found_anywhere
-from planner.planning.options import add_spread, add_strategy
+from planner.planning.options import add_set, add_spread, add_strategy
 from planner.problem import load_problem
 
 OUT = Path("out/benchmarks/published.csv")
@@ -163,9 +164,7 @@ def summary(rows: Sequence[Row]) -> list[str]:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the command."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.published", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    command = parser_of("published", __doc__)
     command.add_argument("folder", type=Path, metavar="FOLDER", help="where the files are, at any depth")
     command.add_argument(
         "--cell", required=True, metavar="PROBLEM", help="whose cell and process are used: file or name"
@@ -196,9 +195,7 @@ def parser() -> argparse.ArgumentParser:
     command.add_argument("--unit", choices=("mm", "m"))
     command.add_argument("--up", choices=("x", "y", "z"), help="the files' axis that points up")
     command.add_argument("--normals", choices=("outward", "inward"), help="against the nozzle, or along it")
-    command.add_argument(
-        "--set", action="append", default=[], metavar="KEY=VALUE", help="change a field of the problem"
-    )
+    add_set(command)
     add_strategy(command)
     add_spread(command)
     command.add_argument("--limit", type=some_seconds, metavar="SECONDS", help="end a plan that takes longer")

@@ -6,12 +6,9 @@ python -m benchmarks.qp
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import sys
 import time
 from collections.abc import Sequence
-from importlib.metadata import version
 
 import clarabel
 import numpy as np
@@ -19,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from scipy import sparse
 
-from planner.base.versions import versions
+from benchmarks.usage import footer
 from planner.cell.cell import build_cell
 from planner.problem import load_problem
 from planner.resolve.ladder import ladder
@@ -113,11 +110,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             table.add_row(*size, label, f"{seconds[label]:.4f}", f"{steps[label]:.0f}", f"{100 * share:.3f} %")
     Console(width=130).print(table)
     print("worse than the best: the largest of all programs, as a share of the descent")
-    used = ", ".join(
-        f"{name} {number}"
-        for name, number in {**versions(), **{name: version(name) for name in ("osqp", "clarabel")}}.items()
-    )
-    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    print(footer("osqp", "clarabel"))
     return 0
 
 

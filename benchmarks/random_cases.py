@@ -29,6 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.brute_force import find_motion, plan_along
+from benchmarks.command import parser_of
 from benchmarks.random_cells import KINDS, Case, make_case
 from benchmarks.run import whole_number
 from planner.base.command_line import one_of
@@ -216,11 +217,7 @@ def read_results(file: Path | None) -> dict[str, Result]:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the command."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.random_cases",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    command = parser_of("random_cases", __doc__)
     command.add_argument(
         "names", nargs="*", metavar="CASE", help="single cases, such as bed_3, in place of the next three"
     )

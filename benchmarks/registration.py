@@ -29,9 +29,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from benchmarks.command import told
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.plan import Plan
 from planner.planning.pipeline import solve
@@ -247,6 +248,7 @@ def _spread(values: Array) -> str:
     return "{:.3f}, {:.3f}".format(*np.percentile(values, [50, 95], method="lower"))
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.registration", description=__doc__.split("\n")[0])
@@ -262,19 +264,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table(title=f"{options.seeds} parts a line, noise {options.noise_mm:g} mm: median, 95th percentile")
     for name in COLUMNS:
         table.add_column(name, justify="left" if name == "case" else "right")
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            if options.picture is not None:
-                picture(options.picture, noise, Path(folder))
-                return EXIT_VERIFIED
-            if options.published:
-                table = one_sided_table(options.seeds, options.solve, noise, Path(folder))
-            for case in () if options.published else CASES:
-                table.add_row(*row_of(case, options.seeds, noise, Path(folder)))
-                print(f"{len(table.rows)} of {len(CASES)}", file=sys.stderr)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    with tempfile.TemporaryDirectory() as folder:
+        if options.picture is not None:
+            picture(options.picture, noise, Path(folder))
+            return EXIT_VERIFIED
+        if options.published:
+            table = one_sided_table(options.seeds, options.solve, noise, Path(folder))
+        for case in () if options.published else CASES:
+            table.add_row(*row_of(case, options.seeds, noise, Path(folder)))
+            print(f"{len(table.rows)} of {len(CASES)}", file=sys.stderr)
     Console(width=150, highlight=False).print(table)
     return EXIT_VERIFIED
 

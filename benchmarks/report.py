@@ -8,12 +8,12 @@ Writes report.md and its figures. The same rows give the same report. Of several
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.command import parser_of
 from benchmarks.figures import draw_figures
 from benchmarks.rows import Row, read_rows
 from benchmarks.summary import (
@@ -299,9 +299,7 @@ def _run(files: Sequence[Path], folder: Path | None) -> int:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.report", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    command = parser_of("report", __doc__)
     command.add_argument("files", nargs="+", type=Path, metavar="FILE.csv", help="tables of runs, peers' too")
     command.add_argument("--out", type=Path, metavar="FOLDER", help="default: beside the file, named after it")
     options = command.parse_args(arguments)

@@ -16,8 +16,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.browser import chromium, page_of
+from benchmarks.command import told
 from benchmarks.repeated import repeated
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.planning.pipeline import load, solve
 from planner.report.html import write_report
 
@@ -46,6 +47,7 @@ DRAW = """async (frames) => {
 }"""
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -55,35 +57,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = Console()
     table = Table("waypoints", "layers", "samples", "written s", "MB", "picture s", "drawn s",
                   "step ms", "frame ms", title=f"report.html of {options.problem}")  # fmt: skip
-    try:
-        plan = solve(load(options.problem))
-        with tempfile.TemporaryDirectory() as folder, chromium() as browser:
-            for times in options.times:
-                longer, path = repeated(plan, times), Path(folder) / f"{times}.html"
-                begin = time.perf_counter()
-                write_report(longer, path)
-                written = time.perf_counter() - begin
-                first, drawn, step, frame = [], [], [], []
-                for _ in range(OPENED):
-                    with page_of(browser, path, SIZE) as page:
-                        first.append(page.evaluate("() => performance.getEntriesByName('first picture')[0].startTime"))
-                        drawn.append(page.evaluate("() => performance.getEntriesByName('all drawn')[0].startTime"))
-                        step.append(page.evaluate(STEP, FRAMES))
-                        frame.append(page.evaluate(DRAW, FRAMES))
-                table.add_row(
-                    f"{times * plan.metrics['waypoints']:,.0f}",
-                    f"{times * plan.layers}",
-                    f"{len(longer.trajectory):,}",
-                    f"{written:.1f}",
-                    f"{path.stat().st_size / 1e6:.2f}",
-                    f"{min(first) / 1e3:.2f}",
-                    f"{min(drawn) / 1e3:.2f}",
-                    f"{min(step):.2f}",
-                    f"{min(frame):.1f}",
-                )
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    plan = solve(load(options.problem))
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        for times in options.times:
+            longer, path = repeated(plan, times), Path(folder) / f"{times}.html"
+            begin = time.perf_counter()
+            write_report(longer, path)
+            written = time.perf_counter() - begin
+            first, drawn, step, frame = [], [], [], []
+            for _ in range(OPENED):
+                with page_of(browser, path, SIZE) as page:
+                    first.append(page.evaluate("() => performance.getEntriesByName('first picture')[0].startTime"))
+                    drawn.append(page.evaluate("() => performance.getEntriesByName('all drawn')[0].startTime"))
+                    step.append(page.evaluate(STEP, FRAMES))
+                    frame.append(page.evaluate(DRAW, FRAMES))
+            table.add_row(
+                f"{times * plan.metrics['waypoints']:,.0f}",
+                f"{times * plan.layers}",
+                f"{len(longer.trajectory):,}",
+                f"{written:.1f}",
+                f"{path.stat().st_size / 1e6:.2f}",
+                f"{min(first) / 1e3:.2f}",
+                f"{min(drawn) / 1e3:.2f}",
+                f"{min(step):.2f}",
+                f"{min(frame):.1f}",
+            )
     out.print(table)
     return EXIT_VERIFIED
 

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from benchmarks.command import parser_of
 from benchmarks.named import all_problems, coarse, load_named
 from benchmarks.rows import KEY, Row, Run, append_row, check_columns, key_of, read_rows, row_without_plan
 from benchmarks.single import Job, beadwise, run_apart
@@ -117,9 +118,7 @@ def add_options(command: argparse.ArgumentParser, out: Path) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """The parser of the command."""
-    command = argparse.ArgumentParser(
-        prog="python -m benchmarks.run", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    command = parser_of("run", __doc__)
     usual = [name for name in STRATEGY_NAMES if name not in FOR_SMALL_ONES]
     command.add_argument(
         "--problems", nargs="+", default=all_problems(), metavar="NAME",

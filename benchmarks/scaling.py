@@ -9,7 +9,6 @@ logarithms; memory is that of all processes together.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -21,13 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import parser_of, told
 from benchmarks.memory import Peak
 from benchmarks.peer_cases import waypoint_text
 from benchmarks.rows import Row, Run, append_row, check_columns, row_of_plan
 from benchmarks.single import beadwise
 from benchmarks.usage import Usage, cpu_seconds
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.base.progress import STAGES, Stages
 from planner.planning.pipeline import solve, write_files
 from planner.problem import load_problem
@@ -104,39 +104,32 @@ def exponent(sizes: Sequence[float], values: Sequence[float]) -> float:
     return float(np.polyfit(np.log(sizes), np.log(values), 1)[0])
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.scaling",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("scaling", __doc__)
     parser.add_argument("--waypoints", nargs="+", type=int, default=list(SIZES))
     parser.add_argument("--strategy", choices=STRATEGY_NAMES, default="sqp")
     parser.add_argument("--out", type=Path, metavar="CSV", help="append a row of each to this file")
     options = parser.parse_args(arguments)
     table = Table("waypoints", *SHOWN, "all [s]", "CPU s", "MB", "verified", title=options.strategy)
     done: list[Row] = []
-    try:
-        if options.out is not None:
-            check_columns(options.out)
-        with ProcessPoolExecutor(
-            1, get_context("spawn"), max_tasks_per_child=1
-        ) as pool:  # each has a peak memory of its own
-            strategies = [options.strategy] * len(options.waypoints)
-            for row, seconds in pool.map(measure, options.waypoints, strategies):
-                done.append(row)
-                if options.out is not None:
-                    append_row(options.out, row)
-                table.add_row(
-                    f"{row['waypoints']}",
-                    *(f"{seconds.get(stage, 0.0):.1f}" for stage in SHOWN),
-                    *(f"{float(row[name]):.{digits}f}" for name, digits in FIGURES),
-                    "yes" if row["verified"] else "no",
-                )
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    if options.out is not None:
+        check_columns(options.out)
+    with ProcessPoolExecutor(
+        1, get_context("spawn"), max_tasks_per_child=1
+    ) as pool:  # each has a peak memory of its own
+        strategies = [options.strategy] * len(options.waypoints)
+        for row, seconds in pool.map(measure, options.waypoints, strategies):
+            done.append(row)
+            if options.out is not None:
+                append_row(options.out, row)
+            table.add_row(
+                f"{row['waypoints']}",
+                *(f"{seconds.get(stage, 0.0):.1f}" for stage in SHOWN),
+                *(f"{float(row[name]):.{digits}f}" for name, digits in FIGURES),
+                "yes" if row["verified"] else "no",
+            )
     console = Console(width=170)
     console.print(table)
     sizes = [float(row["waypoints"]) for row in done]

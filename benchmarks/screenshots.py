@@ -19,7 +19,8 @@ from playwright.sync_api import Browser, Page
 from rich.console import Console
 
 from benchmarks.browser import chromium, page_of
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from benchmarks.command import told
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.planning.pipeline import load, solve
 from planner.planning.solve_command import report_refusal
 from planner.report.html import write_report
@@ -41,6 +42,7 @@ class Shot:
     part: str = ""
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -50,14 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.error(f"no picture {sorted(unknown)[0]!r}; there are {', '.join(SHOTS)}")
     out = Console()
-    try:
-        with tempfile.TemporaryDirectory() as folder, chromium() as browser:
-            for name in options.names or SHOTS:
-                path = take(browser, SHOTS[name], Path(folder), PICTURES / f"{name}.png")
-                out.print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    with tempfile.TemporaryDirectory() as folder, chromium() as browser:
+        for name in options.names or SHOTS:
+            path = take(browser, SHOTS[name], Path(folder), PICTURES / f"{name}.png")
+            out.print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
     return EXIT_VERIFIED
 
 

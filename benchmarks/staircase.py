@@ -21,8 +21,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.problem import Problem, load_problem
 from planner.problem.layers import AerofoilLayersSpec
 from planner.toolpath.build import build_toolpath
@@ -140,17 +141,14 @@ def off_surface(outline: Outline, section: AerofoilSection, x: tuple[float, floa
     return np.asarray(away[away < near])
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.staircase", description=__doc__)
     parser.add_argument("--figure", type=Path, default=Path("docs/pictures/staircase.png"))
     options = parser.parse_args(arguments)
-    try:
-        problems = {name: load_problem(PROBLEM, (SPAN, *changes)) for name, changes in METHODS.items()}
-        layers = {name: layers_of(problem) for name, problem in problems.items()}
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    problems = {name: load_problem(PROBLEM, (SPAN, *changes)) for name, changes in METHODS.items()}
+    layers = {name: layers_of(problem) for name, problem in problems.items()}
     spec = problems["curved"].layers
     if not isinstance(spec, AerofoilLayersSpec):
         raise TypeError(f"{PROBLEM} is no wing")

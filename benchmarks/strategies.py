@@ -13,19 +13,17 @@ share of the length at speed by each strategy but nlp, in Markdown.
 from __future__ import annotations
 
 import argparse
-import os
-import platform
 import sys
-import time
 from collections.abc import Iterator, Sequence
 
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from benchmarks.named import coarse
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
+from benchmarks.usage import footer
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.base.progress import Stages
-from planner.base.versions import versions
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem, shipped_problems
 from planner.problem.settings import STRATEGY_NAMES
@@ -86,6 +84,7 @@ def at_speed(problem: Problem, strategy: str) -> str:
     return f"{100 * plan.metrics['at_speed_fraction']:.1f} %" + ("" if plan.verified else ", not verified")
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strategies", description=__doc__)
@@ -97,33 +96,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="such as nlp, which takes minutes for a thousand samples",
     )  # fmt: skip
     options = parser.parse_args(arguments)
-    try:
-        if options.all:
-            compared = [name for name in STRATEGY_NAMES if name not in ("nlp", *options.without)]
-            for line in overview(compared, options.set):
-                print(line, flush=True)
-            print(f"\n{used()}")
-            return EXIT_VERIFIED
-        problem = load_problem(options.problem, options.set)
-        table = Table(*COLUMNS, title=f"{problem.name} {' '.join(options.set)}".strip(), title_justify="left")
-        for strategy in STRATEGY_NAMES:
-            if strategy not in options.without:
-                table.add_row(*row(strategy, problem, strategy))
-        for reference in REFERENCES:
-            variant = load_problem(options.problem, [*options.set, reference])
-            table.add_row(*row(f"sqp, {reference.rpartition('=')[2]}", variant, "sqp"))
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    if options.all:
+        compared = [name for name in STRATEGY_NAMES if name not in ("nlp", *options.without)]
+        for line in overview(compared, options.set):
+            print(line, flush=True)
+        print(f"\n{footer()}")
+        return EXIT_VERIFIED
+    problem = load_problem(options.problem, options.set)
+    table = Table(*COLUMNS, title=f"{problem.name} {' '.join(options.set)}".strip(), title_justify="left")
+    for strategy in STRATEGY_NAMES:
+        if strategy not in options.without:
+            table.add_row(*row(strategy, problem, strategy))
+    for reference in REFERENCES:
+        variant = load_problem(options.problem, [*options.set, reference])
+        table.add_row(*row(f"sqp, {reference.rpartition('=')[2]}", variant, "sqp"))
     Console(width=120).print(table)
-    print(used())
+    print(footer())
     return EXIT_VERIFIED
-
-
-def used() -> str:
-    """The day, the machine and the versions."""
-    each = ", ".join(f"{name} {version}" for name, version in versions().items())
-    return f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {each}"
 
 
 if __name__ == "__main__":

@@ -15,9 +15,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from benchmarks.repeated import repeated
 from benchmarks.usage import peak_mb
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_VERIFIED
 from planner.export.languages import LANGUAGES
 from planner.export.moves import Moves, deposits, plan_moves, rests_of, way_of
 from planner.export.primitives import TERMS, misfits
@@ -82,6 +83,7 @@ def long_program(plan: Plan, targets: int) -> str:
     )
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.targets", description=__doc__)
@@ -95,16 +97,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     table = Table()
     for k, column in enumerate(COLUMNS):
         table.add_column(column, justify="right" if k else "left")
-    try:
-        for name in options.problems:
-            plan = solve(load_problem(name, options.set))
-            table.add_row(name, *row(plan))
-        out.print(table)
-        if options.long:
-            out.print(long_program(plan, options.long))
-    except PlannerError as error:
-        print(error, file=sys.stderr)
-        return error.exit_code
+    for name in options.problems:
+        plan = solve(load_problem(name, options.set))
+        table.add_row(name, *row(plan))
+    out.print(table)
+    if options.long:
+        out.print(long_program(plan, options.long))
     return EXIT_VERIFIED
 
 

@@ -8,10 +8,7 @@ without limits on jerk. Dips and the error of flow over a millimetre of a bead a
 
 from __future__ import annotations
 
-import argparse
 import math
-import os
-import platform
 import sys
 import time
 from collections.abc import Sequence
@@ -20,8 +17,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from planner.base.errors import EXIT_VERIFIED, PlannerError, Refusal
-from planner.base.versions import versions
+from benchmarks.command import parser_of, told
+from benchmarks.usage import footer
+from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.planning.options import DEFAULT_DT
@@ -109,27 +107,21 @@ def linearity(problem: Problem) -> str:
     return f"timing, CPU time of a trajectory sample on a path of one bead: {', '.join(costs)} samples"
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.timing", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("timing", __doc__)
     parser.add_argument("problem", nargs="*", help="problem files, or names of shipped ones; default: all of these")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS, title=" ".join(options.set) or None, title_justify="left")
-    try:
-        problems = [load_problem(name, options.set) for name in options.problem or shipped_problems()]
-        for problem in problems:
-            table.add_row(*row(problem))
-        line = linearity(problems[0])
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    problems = [load_problem(name, options.set) for name in options.problem or shipped_problems()]
+    for problem in problems:
+        table.add_row(*row(problem))
+    line = linearity(problems[0])
     Console(width=170).print(table)
     print(line)
-    used = ", ".join(f"{name} {version}" for name, version in versions().items())
-    print(f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {used}")
+    print(footer())
     return EXIT_VERIFIED
 
 

@@ -19,8 +19,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from planner.base.arrays import Array
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -85,23 +86,20 @@ def row(body: str, transition: str, changes: Sequence[str]) -> tuple[list[str], 
     return cells, plan
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.transitions", description=__doc__)
     parser.parse_args(arguments)
     table, verified = Table(*COLUMNS), True
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            file = write_stl(Path(folder) / "waved_block.stl", waved_block())
-            bodies = {"saddle_ring": (), "waved block": (f"layers.source.mesh={file}", *BLOCK)}
-            for body, changes in bodies.items():
-                for transition in TRANSITIONS:
-                    cells, plan = row(body, transition, changes)
-                    table.add_row(*cells)
-                    verified = verified and plan.verified
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_stl(Path(folder) / "waved_block.stl", waved_block())
+        bodies = {"saddle_ring": (), "waved block": (f"layers.source.mesh={file}", *BLOCK)}
+        for body, changes in bodies.items():
+            for transition in TRANSITIONS:
+                cells, plan = row(body, transition, changes)
+                table.add_row(*cells)
+                verified = verified and plan.verified
     Console(width=180).print(table)
     return EXIT_VERIFIED if verified else EXIT_NOT_VERIFIED
 

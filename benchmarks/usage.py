@@ -8,10 +8,13 @@ import platform
 import resource
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from planner.base.processes import cores
+from planner.base.versions import versions
 
 ROOT = Path(__file__).resolve().parents[1]
 MEGABYTE = 1e6  # bytes
@@ -40,6 +43,13 @@ def peak_mb() -> float:
     """The most memory that this process has held so far, or one of its children that have ended [MB]."""
     parts = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return max(part.ru_maxrss for part in parts) * RSS_UNIT / MEGABYTE
+
+
+def footer(*packages: str) -> str:
+    """The day, the machine's kind, and the versions of what plans a print and of packages beside it."""
+    used = versions() | {name: version(name) for name in packages}
+    each = ", ".join(f"{name} {number}" for name, number in used.items())
+    return f"{time.strftime('%Y-%m-%d')}, {platform.machine()}, {os.cpu_count()} cores; {each}"
 
 
 def machine() -> str:

@@ -27,7 +27,8 @@ from rich.console import Console
 from rich.table import Table
 from scipy.spatial import ConvexHull
 
-from planner.base.errors import EXIT_VERIFIED, PlannerError
+from benchmarks.command import told
+from planner.base.errors import EXIT_VERIFIED
 from planner.plan import Plan
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
@@ -125,6 +126,7 @@ def cases(names: Sequence[str], changes: Sequence[str]) -> Iterator[str]:
         ).replace("%", " %")
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.wing", description=__doc__)
@@ -136,19 +138,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
     console = Console(width=150)
-    try:
-        if options.cases is not None:
-            for line in cases(options.cases or list(CASES), options.set):
-                print(line, flush=True)
-            return EXIT_VERIFIED
-        if options.flow:
-            console.print(even_flow(options.problem, options.set))
-            return EXIT_VERIFIED
-        problem = load_problem(options.problem, options.set)
-        toolpath = build_toolpath(problem)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    if options.cases is not None:
+        for line in cases(options.cases or list(CASES), options.set):
+            print(line, flush=True)
+        return EXIT_VERIFIED
+    if options.flow:
+        console.print(even_flow(options.problem, options.set))
+        return EXIT_VERIFIED
+    problem = load_problem(options.problem, options.set)
+    toolpath = build_toolpath(problem)
     if not isinstance(problem.layers, AerofoilLayersSpec):
         print(f"error: {problem.name} is no wing", file=sys.stderr)
         return 2

@@ -19,6 +19,7 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from benchmarks.command import parser_of, told
 from benchmarks.peers import results
 from benchmarks.peers.case import CASES, given, write_case
 from benchmarks.peers.judge import PATH_COLUMNS
@@ -28,7 +29,7 @@ from benchmarks.peers.watch import Ended, watched
 from benchmarks.rows import COLUMNS, Row, Run, append_row, check_columns, make_row, times
 from benchmarks.single import beadwise
 from benchmarks.summary import ALONE, CHOSEN, OURS
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.base.progress import STAGES
 from planner.planning.context import PlanningContext
 
@@ -85,11 +86,10 @@ def _table(ready: PlanningContext) -> bool:
     return len(ready.cell.holder) > 0
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code: 3 where a plan of our own is not verified."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.peers", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("peers", __doc__)
     parser.add_argument("--case", nargs="+", choices=list(CASES), default=list(CASES), metavar="CASE")
     parser.add_argument("--peer", nargs="*", choices=list(PEERS), default=list(PEERS), metavar="PEER")
     parser.add_argument("--out", type=Path, default=OUT, help=f"folder of the results ({OUT})")
@@ -98,17 +98,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--megabytes", type=float, default=MEGABYTES, help=f"a run may hold ({MEGABYTES:g})")
     options = parser.parse_args(arguments)
     limits = (options.seconds, options.megabytes)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-        done = results.done(options.out)
-        for key in options.case:
-            with tempfile.TemporaryDirectory() as folder:
-                _case(key, options, limits, Path(folder), done)
-        rows = results.read(options.out)
-        text = results.table(rows)
-    except PlannerError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return error.exit_code
+    options.out.mkdir(parents=True, exist_ok=True)
+    done = results.done(options.out)
+    for key in options.case:
+        with tempfile.TemporaryDirectory() as folder:
+            _case(key, options, limits, Path(folder), done)
+    rows = results.read(options.out)
+    text = results.table(rows)
     (options.out / results.TABLE_FILE).write_text(text, encoding="utf-8")
     print(text)
     ours = [row for row in rows if str(row["planner"]).startswith(OURS)]

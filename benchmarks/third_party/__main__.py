@@ -17,9 +17,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.command import told
 from benchmarks.third_party.tools import PYTHON, TOOLS, Answer
 from benchmarks.third_party.written import Planned, Written, written
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, PlannerError
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
 
@@ -74,6 +75,7 @@ def cells(answer: Answer, planned: Planned) -> list[str]:
     ]
 
 
+@told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(
@@ -87,18 +89,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     title = "Other people's parsers; figures beside the plan's (differences)"
     table = Table(*COLUMNS, title=title, title_justify="left")
     code = EXIT_VERIFIED
-    try:
-        for name in options.problems or CASES:
-            plan = solve(load_problem(name, [*CASES.get(name, ()), *options.set]))
-            planned = Planned.of(plan)
-            for program in written(plan, options.out / plan.name):
-                for files, tool, answer in answers(program, options.python):
-                    table.add_row(plan.name, program.language, files, tool, *cells(answer, planned))
-                    if tool and not agrees(answer, planned):
-                        code = EXIT_NOT_VERIFIED
-    except PlannerError as error:
-        Console(stderr=True).print(f"error: {error}", markup=False)
-        return error.exit_code
+    for name in options.problems or CASES:
+        plan = solve(load_problem(name, [*CASES.get(name, ()), *options.set]))
+        planned = Planned.of(plan)
+        for program in written(plan, options.out / plan.name):
+            for files, tool, answer in answers(program, options.python):
+                table.add_row(plan.name, program.language, files, tool, *cells(answer, planned))
+                if tool and not agrees(answer, planned):
+                    code = EXIT_NOT_VERIFIED
     Console(width=240).print(table)
     return code
 
