@@ -1,9 +1,4 @@
-"""Read a problem and all that it names, without planning it.
-
-python -m planner.check cylinder_logo.yaml
-"""
-
-from __future__ import annotations
+"""Read a problem and all that it names, without planning it."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""Print a script with which a shell completes the commands of beadwise.
-
-python -m planner.completion bash
-"""
-
-from __future__ import annotations
+"""Print a script with which a shell completes the commands of beadwise."""
 
 from planner.base.launch import end, launch
 

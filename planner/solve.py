@@ -1,9 +1,4 @@
-"""Plan a print: from its problem file to a verified robot program.
-
-python -m planner.solve cylinder_logo.yaml
-"""
-
-from __future__ import annotations
+"""Plan a print: from its problem file to a verified robot program."""
 
 from planner.base.launch import end, launch
 

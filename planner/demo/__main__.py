@@ -1,9 +1,4 @@
-"""Show a print that ships planned.
-
-python -m planner.demo
-"""
-
-from __future__ import annotations
+"""Show a print that ships planned."""
 
 from planner.base.launch import end, launch
 

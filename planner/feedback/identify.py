@@ -1,9 +1,4 @@
-"""A test program that shows a robot's limits, and the limits read off its recording.
-
-python -m planner.feedback.identify write cylinder_logo
-"""
-
-from __future__ import annotations
+"""A test program that shows a robot's limits, and the limits read off its recording."""
 
 from planner.base.launch import end, launch
 

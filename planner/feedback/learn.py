@@ -1,9 +1,4 @@
-"""Correct a program by what the robot did in its last run.
-
-python -m planner.feedback.learn cylinder_logo run.csv
-"""
-
-from __future__ import annotations
+"""Correct a program by what the robot did in its last run."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""Lay the rest of a print on what a scan finds of it.
-
-python -m planner.feedback.scan cylinder_logo cloud.ply --after-layer 4
-"""
-
-from __future__ import annotations
+"""Lay the rest of a print on what a scan finds of it."""
 
 from planner.base.launch import end, launch
 

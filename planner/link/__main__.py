@@ -1,9 +1,4 @@
-"""A program to its controller, watched while it runs.
-
-python -m planner.link PROGRAM.mod --controller HOST --head HOST
-"""
-
-from __future__ import annotations
+"""A program to its controller, watched while it runs."""
 
 from planner.base.launch import end, launch
 

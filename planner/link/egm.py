@@ -1,9 +1,4 @@
-"""Send a plan's joints to a controller by externally guided motion.
-
-python -m planner.link.egm OUT_DIR
-"""
-
-from __future__ import annotations
+"""Send a plan's joints to a controller by externally guided motion."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""Send a plan's moves to a controller while it runs them.
-
-python -m planner.link.stream OUT_DIR --controller HOST
-"""
-
-from __future__ import annotations
+"""Send a plan's moves to a controller while it runs them."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""A problem file of one's own, from a few questions or from a problem that ships.
-
-python -m planner.new my_print.yaml
-"""
-
-from __future__ import annotations
+"""A problem file of one's own, from a few questions or from a problem that ships."""
 
 from planner.base.launch import end, launch
 

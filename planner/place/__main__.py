@@ -1,9 +1,4 @@
-"""Where the part should stand: a map, and the best places, solved and verified.
-
-python -m planner.place hemisphere_honeycomb.yaml
-"""
-
-from __future__ import annotations
+"""Where the part should stand: a map, and the best places, solved and verified."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""References that are made from the code.
-
-python -m planner.reference all
-"""
-
-from __future__ import annotations
+"""References that are made from the code."""
 
 from planner.base.launch import end, launch
 

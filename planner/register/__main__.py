@@ -1,9 +1,4 @@
-"""Where the part really is, from places that the nozzle touched.
-
-python -m planner.register contacts.csv fibre_bowl
-"""
-
-from __future__ import annotations
+"""Where the part really is, from places that the nozzle touched."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""Simulators of what a print runs on.
-
-python -m planner.simulate controller|board|stream|egm
-"""
-
-from __future__ import annotations
+"""Simulators of what a print runs on."""
 
 from planner.base.launch import end, launch
 

@@ -1,9 +1,4 @@
-"""The live view: a report in the browser, solved anew whenever its files are saved.
-
-python -m planner.view PROBLEM|OUT_DIR
-"""
-
-from __future__ import annotations
+"""The live view: a report in the browser, solved anew whenever its files are saved."""
 
 from planner.base.launch import end, launch
 
