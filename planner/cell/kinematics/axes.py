@@ -25,6 +25,25 @@ class OtherGeometry(ValueError):
     """The arm is not of the kind that a closed form asks for; says which axes are not as they should be."""
 
 
+class SixJoints:
+    """What arms of six joints have in common; of most poses a closed form finds eight postures."""
+
+    @property
+    def joints(self) -> int:
+        """Six."""
+        return 6
+
+    @property
+    def branch_count(self) -> int:
+        """Eight."""
+        return 8
+
+    @property
+    def redundant_joint(self) -> int | None:
+        """None: six joints, six coordinates of a pose."""
+        return None
+
+
 @dataclass(frozen=True)
 class JointAxes:
     """Joint axes at the zero posture in some frame: points (n, 3) on them [m], unit directions (n, 3).

@@ -25,6 +25,7 @@ from planner.cell.kinematics.axes import (
     REACH_ROUNDING,
     STRAIGHT,
     OtherGeometry,
+    SixJoints,
     about_y,
     about_z,
     at,
@@ -41,7 +42,7 @@ BEHIND_AXIS_1, ELBOW_NEGATIVE, AXIS_5_NEGATIVE = 4, 2, 1  # bits of a branch num
 
 
 @dataclass(frozen=True)
-class OffsetWrist:
+class OffsetWrist(SixJoints):
     """Lengths [m] and angle offsets of an arm; poses are those of the flange in the arm's base frame.
 
     parameters  (48): a2, a3, d4, d5; signs (6) and offsets (6) of theta = sign * q + offset;
@@ -49,21 +50,6 @@ class OffsetWrist:
     """
 
     parameters: Array
-
-    @property
-    def joints(self) -> int:
-        """Six."""
-        return 6
-
-    @property
-    def branch_count(self) -> int:
-        """Eight."""
-        return BRANCHES
-
-    @property
-    def redundant_joint(self) -> int | None:
-        """None: six joints, six coordinates of a pose."""
-        return None
 
     def poses(self, q: Array) -> Array:
         """Flange poses T_base_flange (m, 4, 4) of postures q (m, 6)."""

@@ -18,6 +18,7 @@ from planner.cell.kinematics import spherical_wrist
 from planner.cell.kinematics.axes import (
     JointAxes,
     OtherGeometry,
+    SixJoints,
     about_y,
     about_z,
     axes_at_zero,
@@ -37,7 +38,7 @@ _solve_one = spherical_wrist.solve_one
 
 
 @dataclass(frozen=True)
-class PlacedWrist:
+class PlacedWrist(SixJoints):
     """An arm with a spherical wrist between two frames; poses are those of the flange in the arm's base frame.
 
     parameters  (51): the seven lengths of `SphericalWrist` [m]; signs (6) and offsets (6) of theta = sign * q + offset;
@@ -76,21 +77,6 @@ class PlacedWrist:
     def T_end_flange(self) -> Array:
         """The flange in the frame (4, 4) at the end of `arm`, whose z is axis 6."""
         return inverse_of(self.parameters[_FLANGE])
-
-    @property
-    def joints(self) -> int:
-        """Six."""
-        return 6
-
-    @property
-    def branch_count(self) -> int:
-        """Eight."""
-        return BRANCHES
-
-    @property
-    def redundant_joint(self) -> int | None:
-        """None: six joints, six coordinates of a pose."""
-        return None
 
     def counted(self, q: Array) -> Array:
         """theta (..., 6) of postures q (..., 6) [rad]."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.cell.kinematics import skew_wrist_kernel as kernel
-from planner.cell.kinematics.axes import OtherGeometry, axes_at_zero
+from planner.cell.kinematics.axes import OtherGeometry, SixJoints, axes_at_zero
 from planner.cell.kinematics.chain import Chain
 
 _LEAST_OFFSET = 5e-3  # m by which axis 6 passes the meeting of 4 and 5; a wrist nearer than that is a spherical one
@@ -24,7 +24,7 @@ _LEAST_LENGTH = 1e-3  # m
 
 
 @dataclass(frozen=True)
-class SkewWrist:
+class SkewWrist(SixJoints):
     """An arm by its own chain, and the geometry of the nearest one with right angles, where its postures are looked for.
 
     geometry  (54), see `skew_wrist_kernel`
@@ -34,19 +34,9 @@ class SkewWrist:
     geometry: Array
 
     @property
-    def joints(self) -> int:
-        """Six."""
-        return 6
-
-    @property
     def branch_count(self) -> int:
         """Sixteen."""
         return kernel.SLOTS
-
-    @property
-    def redundant_joint(self) -> int | None:
-        """None: six joints, six coordinates of a pose."""
-        return None
 
     @property
     def parameters(self) -> Array:

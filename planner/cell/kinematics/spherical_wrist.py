@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.compiled import inner_njit, njit
-from planner.cell.kinematics.axes import REACH_ROUNDING, TURN, wrap
+from planner.cell.kinematics.axes import REACH_ROUNDING, TURN, SixJoints, wrap
 from planner.cell.kinematics.chain import Chain
 
 # ----------------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ _STRAIGHT_WRIST = 1e-9  # rad; below it only q4 + q6 is defined, and q4 is set t
 
 
 @dataclass(frozen=True)
-class SphericalWrist:
+class SphericalWrist(SixJoints):
     """OPW parameters [m] of an arm; poses are those of the flange in the arm's base frame."""
 
     a1: float
@@ -141,21 +141,6 @@ class SphericalWrist:
     def parameters(self) -> Array:
         """The seven lengths (7) in the order a1 a2 b c1 c2 c3 c4 [m]."""
         return np.array(astuple(self))
-
-    @property
-    def joints(self) -> int:
-        """Six."""
-        return 6
-
-    @property
-    def branch_count(self) -> int:
-        """Eight."""
-        return BRANCHES
-
-    @property
-    def redundant_joint(self) -> int | None:
-        """None: six joints, six coordinates of a pose."""
-        return None
 
     def chain(self, names: tuple[str, ...]) -> Chain:
         """The arm as joints in series, base to flange."""
