@@ -356,7 +356,7 @@ def test_what_cannot_be_said(language: str) -> None:
     moved = make_plan(arm="kr6_r900")
     assert reason(moved.cell) == "it moves the arm alone, and here ABB IRBP A250 moves the part"
     with pytest.raises(ValueError, match="moves the part"):
-        module(language).write(moved)
+        LANGUAGES[language].write(moved)
     if language == "melfa":  # whose outputs count from 0, and are as many as the cell has
         return
     wanted = 40 if language == "val3" else 0

@@ -30,6 +30,7 @@ from planner.export.krl import (
     turn,
     write,
 )
+from planner.export.languages import LANGUAGES
 from planner.export.support import unsupported_in_krl
 from planner.plan import Plan
 
@@ -299,7 +300,7 @@ def test_what_cannot_be_said() -> None:
     arm = replace(plan.cell, holder_robot=plan.cell.arm_robot)
     assert "held by an arm" in str(unsupported_in_krl(SimpleNamespace(problem=plan.problem, cell=arm)))
     with pytest.raises(ValueError, match="held by an arm"):
-        write(replace(plan, cell=arm))
+        LANGUAGES["krl"].write(replace(plan, cell=arm))
 
 
 # ---- what is read back --------------------------------------------------------------------------------------------

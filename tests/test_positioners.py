@@ -15,7 +15,7 @@ from solved import solve_alone
 from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.cell import Cell, build_cell
-from planner.export.languages import chosen
+from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import cell_screws
 from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.writer import rapid, rapid_files
@@ -344,7 +344,7 @@ def test_arms_that_do_not_speak_rapid_get_the_language_that_they_speak(
     print_summary(replace(plan, timing_s={"total": 1.0}), tmp_path, chosen(plan).words)
     assert f"; programs: {title}, the extruder's G-code;" in " ".join(capsys.readouterr().out.split())
     with pytest.raises(ValueError, match="spherical wrist"):
-        rapid(plan)
+        LANGUAGES["rapid"].write(plan)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.robot import chain_of, read_robot
 from planner.export import urscript as language
-from planner.export.languages import chosen
+from planner.export.languages import LANGUAGES, chosen
 from planner.export.support import unsupported_in_urscript
 from planner.export.urscript import (
     differences,
@@ -285,7 +285,7 @@ def test_other_arms_cannot_be_told() -> None:
     plan = make_plan(positioner=False)
     assert "ABB IRB 140-6/0.8 is no arm of Universal Robots" in str(unsupported_in_urscript(plan))
     with pytest.raises(ValueError, match="no arm of Universal Robots"):
-        urscript(plan)
+        LANGUAGES["urscript"].write(plan)
 
 
 def test_outputs_that_the_control_box_has_not() -> None:

@@ -33,8 +33,8 @@ from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_fanuc
-from planner.export.text import number, require_writable
+from planner.export.support import by_bead, output_numbers, outputs_about
+from planner.export.text import number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -105,8 +105,7 @@ TICK = 0.01  # s: what waits are written to
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in TP programs."""
-    require_writable(plan, unsupported_in_fanuc(plan))
+    """Files of a verified plan (ASCII, mm, degrees)."""
     name, moves = fanuc_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     off = [f"DO[{k}]=OFF" for k in output_numbers(plan.problem).values()]

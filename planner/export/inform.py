@@ -34,8 +34,8 @@ from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_inform
-from planner.export.text import number, require_writable
+from planner.export.support import by_bead, output_numbers, outputs_about
+from planner.export.text import number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -84,8 +84,7 @@ TICK = 0.01  # s: what waits are written to
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """Jobs of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in INFORM."""
-    require_writable(plan, unsupported_in_inform(plan))
+    """Jobs of a verified plan (ASCII, mm, degrees)."""
     name, moves = job_name(plan.name), moves_of_lines(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     off = [f"DOUT OT#({k}) OFF" for k in output_numbers(plan.problem).values()]

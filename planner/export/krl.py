@@ -30,8 +30,8 @@ from planner.export.program import UNSPECIFIED, RobotProgram, Trigger, about, na
 from planner.export.rapid.text import module_name
 from planner.export.readback import filled, played_differences
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, off_differences, output_numbers, outputs_about, unsupported_in_krl
-from planner.export.text import ascii_comment, number, require_writable, resting
+from planner.export.support import by_bead, off_differences, output_numbers, outputs_about
+from planner.export.text import ascii_comment, number, resting
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -170,8 +170,7 @@ class Subprogram:
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """Source and data files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in KRL."""
-    require_writable(plan, unsupported_in_krl(plan))
+    """Source and data files of a verified plan (ASCII, mm, degrees)."""
     name, moves = krl_name(plan.name), moves_with_arcs(plan)
     header = _header(plan)
     subprograms = list(_subprograms(plan, moves))

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Protocol, cast
 
 from planner.export.program import ProblemSetup, RobotProgram, Setup
 from planner.export.support import (
+    VAL3_OUTPUTS,
+    arm_alone,
     unsupported_in_axes,
-    unsupported_in_fanuc,
-    unsupported_in_inform,
     unsupported_in_joint_trajectory,
-    unsupported_in_kawasaki,
     unsupported_in_krl,
-    unsupported_in_melfa,
     unsupported_in_rapid,
     unsupported_in_urscript,
-    unsupported_in_val3,
 )
 
 if TYPE_CHECKING:
@@ -65,8 +63,14 @@ class Language:
         return plan.as_counted if self.counted else plan
 
     def write(self, plan: Plan) -> dict[str, str]:
-        """File name → text, of a verified plan."""
-        return self._module.write(self.plan(plan))
+        """File name → text. ValueError if the plan is not verified, or the language does not support its cell: a mistake of
+        the caller's."""
+        plan = self.plan(plan)
+        if not plan.verified:
+            raise ValueError("robot code is written for verified plans only")
+        if (reason := self.unsupported(plan)) is not None:
+            raise ValueError(reason)
+        return self._module.write(plan)
 
     def differences(self, plan: Plan, files: Mapping[str, str]) -> list[str]:
         """Differences of files from the plan, beyond rounding, in words. InputError for what cannot be read."""
@@ -101,11 +105,11 @@ LANGUAGES: dict[str, Language] = {
     "rapid": Language("RAPID", "rapid.language", unsupported_in_rapid, counted=True),
     "urscript": Language("URScript", "urscript", unsupported_in_urscript, moving_only=True),
     "krl": Language("KRL", "krl", unsupported_in_krl, counted=True),
-    "fanuc": Language("FANUC TP", "fanuc", unsupported_in_fanuc, counted=True, moving_only=True),
-    "inform": Language("INFORM", "inform", unsupported_in_inform, counted=True, moving_only=True),
-    "val3": Language("VAL3", "val3", unsupported_in_val3, counted=True, moving_only=True),
-    "kawasaki": Language("Kawasaki AS", "kawasaki", unsupported_in_kawasaki, counted=True, moving_only=True),
-    "melfa": Language("MELFA-BASIC", "melfa", unsupported_in_melfa, counted=True, moving_only=True),
+    "fanuc": Language("FANUC TP", "fanuc", partial(arm_alone, first=1), counted=True, moving_only=True),
+    "inform": Language("INFORM", "inform", partial(arm_alone, first=1), counted=True, moving_only=True),
+    "val3": Language("VAL3", "val3", partial(arm_alone, first=0, count=VAL3_OUTPUTS), counted=True, moving_only=True),
+    "kawasaki": Language("Kawasaki AS", "kawasaki", partial(arm_alone, first=1), counted=True, moving_only=True),
+    "melfa": Language("MELFA-BASIC", "melfa", partial(arm_alone, first=0), counted=True, moving_only=True),
     "joint_trajectory": Language("ROS JointTrajectory", "joint_trajectory", unsupported_in_joint_trajectory),
     "axes": Language("multi-axis G-code", "axes.gcode", unsupported_in_axes, moving_only=True),
     "extruder": Language("the extruder's G-code", "extruder", _always),

@@ -36,8 +36,8 @@ from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_melfa
-from planner.export.text import ascii_comment, number, require_writable
+from planner.export.support import by_bead, output_numbers, outputs_about
+from planner.export.text import ascii_comment, number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -96,8 +96,7 @@ def melfa_name(name: str) -> str:
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in MELFA-BASIC."""
-    require_writable(plan, unsupported_in_melfa(plan))
+    """Files of a verified plan (ASCII, mm, degrees)."""
     name, moves = melfa_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]

@@ -141,32 +141,7 @@ def unsupported_in_urscript(setup: Setup) -> str | None:
     return None
 
 
-def unsupported_in_fanuc(setup: Setup) -> str | None:
-    """Why TP programs do not support a cell; None if they do."""
-    return _arm_alone(setup, 1, None)
-
-
-def unsupported_in_inform(setup: Setup) -> str | None:
-    """Why INFORM does not support a cell; None if it does."""
-    return _arm_alone(setup, 1, None)
-
-
-def unsupported_in_val3(setup: Setup) -> str | None:
-    """Why VAL3 does not support a cell; None if it does."""
-    return _arm_alone(setup, 0, VAL3_OUTPUTS)
-
-
-def unsupported_in_kawasaki(setup: Setup) -> str | None:
-    """Why AS does not support a cell; None if it does."""
-    return _arm_alone(setup, 1, None)
-
-
-def unsupported_in_melfa(setup: Setup) -> str | None:
-    """Why MELFA-BASIC does not support a cell; None if it does."""
-    return _arm_alone(setup, 0, None)
-
-
-def _arm_alone(setup: Setup, first: int, count: int | None) -> str | None:
+def arm_alone(setup: Setup, first: int, count: int | None = None) -> str | None:
     """Why a language does not support a cell that moves a six-axis arm with a spherical wrist, and nothing else.
 
     first  number of the first output; count: how many there are, None where that is the cell's

@@ -1,4 +1,4 @@
-"""What all languages share: preconditions, numbers and comments of their writers, and the words of their checks."""
+"""What all languages share: numbers and comments of their writers, and the words of their checks."""
 
 from __future__ import annotations
 
@@ -8,17 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from planner.export.moves import Wait
-    from planner.plan import Plan
 
 LONGEST_COMMENT = 100
-
-
-def require_writable(plan: Plan, unsupported: str | None = None) -> None:
-    """Raise ValueError for a plan that is not verified, or that a language does not support: a mistake of the caller's."""
-    if not plan.verified:
-        raise ValueError("robot code is written for verified plans only")
-    if unsupported is not None:
-        raise ValueError(unsupported)
 
 
 def number(value: float, decimals: int) -> str:

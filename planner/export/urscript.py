@@ -32,8 +32,8 @@ from planner.export.program import UNSPECIFIED, RobotProgram, about, named
 from planner.export.rapid.text import LONGEST_NAME, module_name
 from planner.export.readback import filled, played_differences
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, off_differences, output_numbers, outputs_about, unsupported_in_urscript
-from planner.export.text import ascii_comment, number, require_writable, resting
+from planner.export.support import by_bead, off_differences, output_numbers, outputs_about
+from planner.export.text import ascii_comment, number, resting
 
 if TYPE_CHECKING:
     from planner.cell.cell import Cell
@@ -113,8 +113,7 @@ def script_names(plan: Plan, count: int) -> list[str]:
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """File name → program of a verified plan (ASCII, m, rad). ValueError if it is not, or has no form in URScript."""
-    require_writable(plan, unsupported_in_urscript(plan))
+    """File name → program of a verified plan (ASCII, m, rad)."""
     moves = moves_with_arcs(plan)
     programs = _programs(plan, moves)
     names = script_names(plan, len(programs))

@@ -30,8 +30,8 @@ from planner.export.parts import in_files
 from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
-from planner.export.support import by_bead, output_numbers, outputs_about, unsupported_in_val3
-from planner.export.text import ascii_comment, number, require_writable, resting
+from planner.export.support import by_bead, output_numbers, outputs_about
+from planner.export.text import ascii_comment, number, resting
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -93,8 +93,7 @@ def val3_name(name: str) -> str:
 
 
 def write(plan: Plan) -> dict[str, str]:
-    """Files of a verified plan (ASCII, mm, degrees); ValueError if it is not, or has no form in VAL3."""
-    require_writable(plan, unsupported_in_val3(plan))
+    """Files of a verified plan (ASCII, mm, degrees)."""
     name, moves = val3_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     descriptors, switches = _descriptors(plan, moves), _Switches(plan, moves)

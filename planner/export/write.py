@@ -16,7 +16,6 @@ from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json, refusal_json
 from planner.export.rapid.text import module_name, written_notes
 from planner.export.tables import part_stl, write_table
-from planner.export.text import require_writable
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -69,7 +68,6 @@ def write_robot_code(plan: Plan, folder: Path) -> tuple[Path, ...]:
     from the plan, ValueError if the plan is not verified (both mistakes of this code or its caller),
     InputError for a language that was asked for and does not support the cell, OutputError where the files cannot be written.
     """
-    require_writable(plan)
     texts: dict[str, str] = {}
     foretold: dict[str, Forecast] = {}
     for name in chosen(plan).names:

@@ -74,8 +74,8 @@ from planner.export.rapid.text import (
     running,
     unloading,
 )
-from planner.export.support import by_bead, unsupported_in_rapid
-from planner.export.text import number, require_writable
+from planner.export.support import by_bead
+from planner.export.text import number
 from planner.plan import TRAVEL
 
 if TYPE_CHECKING:
@@ -417,10 +417,8 @@ def rapid_files(plan: Plan) -> dict[str, str]:
 
     They are the main module, the program file, the modules that a long program loads, and the lines of style `socket`; where
     a second arm moves the part, its own modules and program file besides, see multimove.py.
-    Raises ValueError if the plan is not verified or has no form in RAPID, which is a mistake of the caller's, and
-    InputError where the problem asks for a flow, or a line, that RAPID has no form for.
+    Raises InputError where the problem asks for a flow, or a line, that RAPID has no form for.
     """
-    require_writable(plan, unsupported_in_rapid(plan))
     name, spec, parts = module_name(plan.name), plan.problem.program, plan.stretches
     all_moves = [rapid_moves(part) for part in parts]
     moves = all_moves[0]
