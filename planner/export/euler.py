@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 
 from planner.base.arrays import Array
@@ -53,6 +55,12 @@ def from_turning_zyz(angles: Array) -> Array:
     """Unit quaternions (m, 4) x y z w of turns about z, the new y, the new z (m, 3) [rad]."""
     o, a, t = (_about(axis, angles[:, k]) for k, axis in enumerate((2, 1, 2)))
     return product(product(o, a), t)
+
+
+def read_pose(values: Iterable[str | float], of_angles: Callable[[Array], Array]) -> Array:
+    """x y z [m], quaternion x y z w (7) of x y z [mm] and three angles [deg], whose quaternions `of_angles` makes."""
+    numbers = [float(value) for value in values]
+    return np.concatenate([np.array(numbers[:3]) * 1e-3, of_angles(np.radians([numbers[3:]]))[0]])
 
 
 def written(angles: Array, decimals: int) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,9 +26,9 @@ from planner.export.arms import (
     percent,
     read_arm,
 )
-from planner.export.euler import fixed_xyz, from_fixed_xyz, written
+from planner.export.euler import fixed_xyz, from_fixed_xyz, read_pose, written
 from planner.export.fit import to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
@@ -272,7 +273,6 @@ def _body(
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Z][A-Z0-9_]{0,31}"
 TERM = rf"({FINE}|{FLY})"
 PLACE = rf"P\[([0-9]{{1,5}})\] ([0-9]{{1,5}})cm/min {TERM}(?: DB 0\.0mm,DO\[([0-9]{{1,4}})\]=(ON|OFF))?"
@@ -301,6 +301,7 @@ POSE = re.compile(
     + ", ".join(rf"{axis} = ({NUMBER}) deg" for axis in "WPR")
 )
 Position = tuple[str, ...]  # of a pose: CONFIG's letters, its turns, and six numbers; of joints: six numbers
+_pose = partial(read_pose, of_angles=from_fixed_xyz)
 
 
 def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProgram, list[str]]:
@@ -340,7 +341,7 @@ def read_fanuc(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmProg
         elif word == "frame":
             if len(values) != 6:
                 raise statement.error("a frame of a register that is not set")
-            frames[parts[0]] = _pose([values[str(i)] for i in range(1, 7)])
+            frames[parts[0]] = _pose(values[str(i)] for i in range(1, 7))
         elif parts[0] not in frames:
             raise statement.error(f"{parts[0]} is chosen and not set")
     if len(frames) != 2:
@@ -355,16 +356,12 @@ def _step(word: str, how: Sequence[str], places: Sequence[Position]) -> ProgramS
     numbers, fine = [float(value) for value in place[-6:]], how[1] == FINE
     if word == "point":
         return ProgramStep(False, fine, np.radians(numbers), float(how[0]))
-    via = _pose([float(value) for value in places[0][-6:]]) if word == "arc" else None
+    via = _pose(places[0][-6:]) if word == "arc" else None
     return ProgramStep(True, fine, _pose(numbers), float(how[0]) / CM_MIN, branch=branch_of(place[0]), via=via)
 
 
 def _config(place: Position) -> str:
     return f"{place[0]}, {', '.join(place[1:4])}"
-
-
-def _pose(values: list[float]) -> Array:
-    return np.concatenate([np.array(values[:3]) * 1e-3, from_fixed_xyz(np.radians([values[3:]]))[0]])
 
 
 def _program(text: str, name: str) -> tuple[list[Statement], dict[str, Position]]:

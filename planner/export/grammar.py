@@ -10,6 +10,9 @@ from typing import NamedTuple
 from planner.base.errors import InputError
 
 SHOWN = 60  # characters of a line that an error quotes
+# patterns that grammars are made of
+NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
+SIX_NUMBERS = rf"({NUMBER}(?:,{NUMBER}){{5}})"
 
 
 class Statement(NamedTuple):

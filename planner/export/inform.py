@@ -26,9 +26,9 @@ from planner.export.arms import (
     read_arm,
     signed,
 )
-from planner.export.euler import fixed_xyz, from_fixed_xyz, written
+from planner.export.euler import fixed_xyz, from_fixed_xyz, read_pose, written
 from planner.export.fit import to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, SIX_NUMBERS, Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, moves_of_lines, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
@@ -233,14 +233,12 @@ def _body(
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Z][A-Z0-9_]{0,31}"
-SIX = rf"({NUMBER}(?:,{NUMBER}){{5}})"
 POSITIONS = Grammar.of(
     "INFORM positions",
     "'",
     {
-        "value": rf"C([0-9]{{5}})={SIX}",
+        "value": rf"C([0-9]{{5}})={SIX_NUMBERS}",
         "config": r"///RCONF ([01](?:,[01]){5},0,0)",
         "kind": r"///(RECTAN|ANGLE)",
         "type": r"///POSTYPE (USER|ANGLE)",
@@ -285,7 +283,7 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
             numbers = [float(value) for value in there[k][2].split(",")]
             if word == "line":
                 said.append(there[k][1])
-                pose, speed = _pose(numbers), 1e-3 * float(parts[1])
+                pose, speed = read_pose(numbers, from_fixed_xyz), 1e-3 * float(parts[1])
                 steps.moves.append(ProgramStep(True, bool(parts[2]), pose, speed, branch=branch_of(there[k][1])))
             else:
                 steps.moves.append(ProgramStep(False, bool(parts[2]), np.radians(numbers), float(parts[1])))
@@ -299,12 +297,8 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
             frames[parts[0] + parts[1]] = [float(value) for value in parts[2:]]
     if set(frames) != {"TOOL", "TOOLR", "USER", "USERR"}:
         raise InputError("no tool or user frame is told", file=JOB.file)
-    tool, part = (_pose([*frames[name], *frames[f"{name}R"]]) for name in ("TOOL", "USER"))
+    tool, part = (read_pose([*frames[name], *frames[f"{name}R"]], from_fixed_xyz) for name in ("TOOL", "USER"))
     return read_arm(main, steps, tool, part, forward_of(plan.cell, YASKAWA), JOB.file), said
-
-
-def _pose(values: list[float]) -> Array:
-    return np.concatenate([np.array(values[:3]) * 1e-3, from_fixed_xyz(np.radians([values[3:]]))[0]])
 
 
 def _read_job(text: str, name: str) -> tuple[list[Statement], list[Target]]:

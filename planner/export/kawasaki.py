@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,9 +22,9 @@ from planner.export.arms import (
     read_arm,
     signed,
 )
-from planner.export.euler import from_turning_zyz, turning_zyz, written
+from planner.export.euler import from_turning_zyz, read_pose, turning_zyz, written
 from planner.export.fit import to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, SIX_NUMBERS, Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered
 from planner.export.program import RobotProgram, about
@@ -181,16 +182,14 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: list[list[s
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[a-z][a-z0-9_]{0,14}"
-SIX = rf"({NUMBER}(?:,{NUMBER}){{5}})"
 GRAMMAR = Grammar.of(
     "AS",
     MARK,
     {
-        "line": rf"(?:LMOVE|C2MOVE) TRANS\({SIX}\)",
-        "via": rf"C1MOVE TRANS\({SIX}\)",
-        "point": rf"JMOVE #PPOINT\({SIX}\)",
+        "line": rf"(?:LMOVE|C2MOVE) TRANS\({SIX_NUMBERS}\)",
+        "via": rf"C1MOVE TRANS\({SIX_NUMBERS}\)",
+        "point": rf"JMOVE #PPOINT\({SIX_NUMBERS}\)",
         "stop": r"BREAK",
         "speed": rf"SPEED ({NUMBER}) MM/S ALWAYS",
         "share": r"SPEED ([0-9]{1,3}) ALWAYS",
@@ -198,13 +197,14 @@ GRAMMAR = Grammar.of(
         "output": r"SIGNAL (-?)([0-9]{1,4})",
         "wait": rf"TWAIT ({NUMBER})",
         "call": rf"CALL ({NAME})",
-        "frame": rf"(TOOL|BASE) TRANS\({SIX}\)",
+        "frame": rf"(TOOL|BASE) TRANS\({SIX_NUMBERS}\)",
         "reset": r"BASE NULL",
         "switch": r"(CP ON|PREFETCH\.SIGINS OFF|ABS\.SPEED ON)",
         "define": rf"\.PROGRAM ({NAME})\(\)",
         "end": r"\.END",
     },
 )
+_read_pose = partial(read_pose, of_angles=from_turning_zyz)
 
 
 def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
@@ -227,7 +227,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         if not (fine or accuracy > 0.0):
             raise last.error("a move that goes on without an accuracy")
         numbers = [float(value) for value in last.parts[0].split(",")]
-        via = _read_pose([float(value) for value in first[0].parts[0].split(",")]) if first else None
+        via = _read_pose(first[0].parts[0].split(",")) if first else None
         if last.word == "line":
             steps.moves.append(ProgramStep(True, fine, _read_pose(numbers), speed, accuracy, via=via))
         else:
@@ -260,16 +260,12 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
         elif steps.moves or parts[0] in frames:
             raise statement.misplaced("behind the first move, or twice")
         elif word == "frame":
-            frames[parts[0]] = _read_pose([float(value) for value in parts[1].split(",")])
+            frames[parts[0]] = _read_pose(parts[1].split(","))
         else:
             switches.append(parts[0])
     if pending or set(frames) != {"TOOL", "BASE", "NULL"} or tuple(switches) != BEGIN:
         raise InputError("no stop at the end, or tool, base and switches are not set and reset", file=GRAMMAR.file)
     return read_arm(main, steps, frames["TOOL"], frames["BASE"], forward_of(plan.cell, KAWASAKI), GRAMMAR.file)
-
-
-def _read_pose(numbers: list[float]) -> Array:
-    return np.concatenate([np.array(numbers[:3]) * 1e-3, from_turning_zyz(np.radians([numbers[3:]]))[0]])
 
 
 def _bodies(text: str) -> dict[str, list[Statement]]:

@@ -15,7 +15,7 @@ from planner.export.arms import AXIS_5_NEGATIVE, BEHIND_AXIS_1, BEHIND_LOWER_ARM
 from planner.export.euler import fixed_xyz, from_fixed_xyz, written
 from planner.export.external import carrying_axes, external_axes, external_read, external_written
 from planner.export.fit import angle, from_matrix, to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, Grammar, Statement, inlined
 from planner.export.moves import (
     Moves,
     MoveSection,
@@ -371,7 +371,6 @@ def _name(section: MoveSection, taken: Container[str]) -> str:
 
 Forward = Callable[[Array], Array]
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,23}"
 FRAME = ",".join(rf"{name} ({NUMBER})" for name in "XYZABC")
 EXTERNAL = rf"((?:,E[1-6] {NUMBER}){{0,6}})"

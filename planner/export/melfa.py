@@ -28,9 +28,9 @@ from planner.export.arms import (
     read_arm,
     signed,
 )
-from planner.export.euler import fixed_xyz, from_fixed_xyz, written
-from planner.export.fit import from_matrix, to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.euler import fixed_xyz, from_fixed_xyz, read_pose, written
+from planner.export.fit import to_matrix
+from planner.export.grammar import NUMBER, SIX_NUMBERS, Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files, numbered, part_about
 from planner.export.program import RobotProgram, about
@@ -250,10 +250,8 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: _Targets) -
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Z][A-Z0-9_]{0,11}"
 WITH = r"(?: Wth M_Out\(([0-9]{1,5})\)=([01]))?"
-READ_SIX = rf"({NUMBER}(?:,{NUMBER}){{5}})"
 GRAMMAR = Grammar.of(
     "MELFA-BASIC",
     MARK,
@@ -268,13 +266,13 @@ GRAMMAR = Grammar.of(
         "output": r"M_Out\(([0-9]{1,5})\)=([01])",
         "wait": rf"Dly ({NUMBER})",
         "call": rf'CallP "({NAME})"',
-        "tool": rf"Tool \({READ_SIX}\)",
+        "tool": rf"Tool \({SIX_NUMBERS}\)",
         "setting": r"(Base P_NBase|Ovrd 100)",
         "end": r"End",
     },
 )
 POSITION = re.compile(
-    rf"(?:P([0-9]{{1,5}})=\({READ_SIX}\)\(([0-7]),([0-9]{{1,8}})\)|J([0-9]{{1,5}})=\({READ_SIX}\))", re.ASCII
+    rf"(?:P([0-9]{{1,5}})=\({SIX_NUMBERS}\)\(([0-7]),([0-9]{{1,8}})\)|J([0-9]{{1,5}})=\({SIX_NUMBERS}\))", re.ASCII
 )
 Places = dict[str, tuple[list[float], str]]  # name → numbers, and structure flags of a pose
 
@@ -341,8 +339,7 @@ class _MelfaRun:
         elif self.steps.moves or self.pending is not None:
             raise statement.misplaced("behind the first move")
         elif word == "tool":
-            values = [float(value) for value in parts[0].split(",")]
-            self.tool = np.concatenate([np.array(values[:3]) * 1e-3, from_fixed_xyz(np.radians([values[3:]]))[0]])
+            self.tool = read_pose(parts[0].split(","), from_fixed_xyz)
         else:
             self.settings.append(parts[0])
 
@@ -376,9 +373,7 @@ class _MelfaRun:
 
     def _pose(self, values: list[float]) -> Array:
         """In the part frame."""
-        pose = np.concatenate([np.array(values[:3]) * 1e-3, from_fixed_xyz(np.radians([values[3:]]))[0]])
-        T = self.T_part_base @ matrix_of(pose)
-        return np.concatenate([T[:3, 3], from_matrix(T[None, :3, :3])[0]])
+        return pose_of(self.T_part_base @ matrix_of(read_pose(values, from_fixed_xyz)))
 
 
 def _program(text: str, name: str) -> tuple[list[Statement], Places]:

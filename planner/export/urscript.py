@@ -14,7 +14,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.arms import switch_triggers
 from planner.export.fit import angle, from_matrix, to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, Grammar, Statement, inlined
 from planner.export.moves import (
     STEP,
     Moves,
@@ -269,7 +269,6 @@ def _moves(plan: Plan, moves: Moves, pace: MoveAccelerations) -> list[str]:
 Forward = Callable[[Array], Array]
 
 JOINT = 1e-5  # m, rad: between the end of a program and the start of the next one; rounding gives a fifth of it
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,63}"
 SIX = rf"({NUMBER}(?:, {NUMBER}){{5}})"
 HOW = rf"a=({NUMBER}), v=({NUMBER}), r=({NUMBER})"

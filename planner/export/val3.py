@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,9 +23,9 @@ from planner.export.arms import (
     read_arm,
     signed,
 )
-from planner.export.euler import from_turning_xyz, turning_xyz, written
+from planner.export.euler import from_turning_xyz, read_pose, turning_xyz, written
 from planner.export.fit import to_matrix
-from planner.export.grammar import Grammar, Statement, inlined
+from planner.export.grammar import NUMBER, Grammar, Statement, inlined
 from planner.export.moves import Moves, MoveSection, move_radii, moves_with_arcs, sections
 from planner.export.parts import in_files
 from planner.export.program import RobotProgram, about
@@ -299,7 +300,6 @@ def _move(rows: Sequence[int], move: str) -> list[str]:
 # ----------------------------------------------------------------------------------------------------
 # Reader: exactly the subset that the writer uses.
 
-NUMBER = r"-?[0-9]+(?:\.[0-9]+)?"
 NAME = r"[A-Za-z][A-Za-z0-9_]{0,31}"
 POSE = " ".join(rf'{n}="({NUMBER})"' for n in ("x", "y", "z", "rx", "ry", "rz"))
 KEY = '<Value key="([0-9]{1,5})" '
@@ -338,6 +338,7 @@ CODE = Grammar.of(
     },
 )
 Arrays = dict[str, list[tuple[str, ...]]]
+_pose = partial(read_pose, of_angles=from_turning_xyz)
 
 
 def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
@@ -412,11 +413,6 @@ def _at(statement: Statement, key: str, values: Sequence[object]) -> int:
     if not int(key) < len(values):
         raise statement.error(f"there is no element {key}")
     return int(key)
-
-
-def _pose(values: Sequence[str]) -> Array:
-    numbers = [float(value) for value in values]
-    return np.concatenate([np.array(numbers[:3]) * 1e-3, from_turning_xyz(np.radians([numbers[3:]]))[0]])
 
 
 def _code(text: str, name: str) -> Iterator[Statement]:
