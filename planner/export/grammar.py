@@ -71,6 +71,32 @@ class Grammar:
             if text and not text.startswith(self.comment):
                 yield self.statement(text, line, file)
 
+    def bodies(self, text: str, incomplete: str) -> dict[str, list[Statement]]:
+        """The statements of each program of a text, between its "define" and its "end"; an "attribute" is none of them.
+
+        Raises InputError for what stands outside, for names that are the same in capitals, and where a program does not
+        end or there is none, which is said by `incomplete`.
+        """
+        bodies: dict[str, list[Statement]] = {}
+        current = ""
+        for statement in self.statements(text.split("\n")):
+            if statement.word == "attribute":
+                continue
+            if (statement.word == "define") == bool(current):
+                raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
+            if statement.word == "define":
+                current = statement.parts[0]
+                if current.upper() in (name.upper() for name in bodies):
+                    raise statement.error(f"program {current} stands there twice")
+                bodies[current] = []
+            elif statement.word == "end":
+                current = ""
+            else:
+                bodies[current].append(statement)
+        if current or not bodies:
+            raise InputError(incomplete, file=self.file)
+        return bodies
+
 
 def inlined(bodies: Mapping[str, Sequence[Statement]], main: str, called: str, depth: int = 1) -> Iterator[Statement]:
     """The statements of `main` in the order in which they run, with those of what it calls in place of each call.

@@ -212,7 +212,7 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
 
     Raises InputError with the line for a statement or name that is not known, or that stands where it must not.
     """
-    bodies = _bodies(text)
+    bodies = GRAMMAR.bodies(text, "no complete program")
     main = next(iter(bodies), "")
     steps, frames, switches = ProgramSteps(), {}, []
     speed, share, accuracy = np.nan, np.nan, np.nan
@@ -266,27 +266,6 @@ def read_kawasaki(text: str, plan: Plan) -> ArmProgram:
     if pending or set(frames) != {"TOOL", "BASE", "NULL"} or tuple(switches) != BEGIN:
         raise InputError("no stop at the end, or tool, base and switches are not set and reset", file=GRAMMAR.file)
     return read_arm(main, steps, frames["TOOL"], frames["BASE"], forward_of(plan.cell, KAWASAKI), GRAMMAR.file)
-
-
-def _bodies(text: str) -> dict[str, list[Statement]]:
-    """Statements of each program of a file."""
-    bodies: dict[str, list[Statement]] = {}
-    current = ""
-    for statement in GRAMMAR.statements(text.split("\n")):
-        if (statement.word == "define") == bool(current):
-            raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
-        if statement.word == "define":
-            current = statement.parts[0]
-            if current in bodies:
-                raise statement.error(f"program {current} stands there twice")
-            bodies[current] = []
-        elif statement.word == "end":
-            current = ""
-        else:
-            bodies[current].append(statement)
-    if current or not bodies:
-        raise InputError("no complete program", file=GRAMMAR.file)
-    return bodies
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -498,24 +498,10 @@ def _data(text: str) -> tuple[str, dict[str, Array], list[float]]:
 
 def _subprogram_bodies(text: str, title: str) -> dict[str, list[Statement]]:
     """Statements of each program of a source file, the first of which must be the one that its data list is of."""
-    bodies: dict[str, list[Statement]] = {}
-    current = ""
-    for statement in SOURCE.statements(text.split("\n")):
-        if statement.word == "attribute":
-            continue
-        if (statement.word == "define") == bool(current):
-            raise statement.misplaced(f"{'inside' if current else 'outside'} a program")
-        if statement.word == "define":
-            current = statement.parts[0]
-            if current.upper() in (name.upper() for name in bodies):
-                raise statement.error(f"program {current} stands there twice")
-            bodies[current] = []
-        elif statement.word == "end":
-            current = ""
-        else:
-            bodies[current].append(statement)
-    if current or next(iter(bodies), "") != title:
-        raise InputError(f"no complete program {title}, which its data list is of", file=SOURCE.file)
+    incomplete = f"no complete program {title}, which its data list is of"
+    bodies = SOURCE.bodies(text, incomplete)
+    if next(iter(bodies)) != title:
+        raise InputError(incomplete, file=SOURCE.file)
     return bodies
 
 
