@@ -15,7 +15,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints, read_only
 from planner.toolpath.bead import Bead
 from planner.toolpath.waypoints.nearest import PrintedPoints, nearest_printed, printed_points
-from planner.toolpath.waypoints.surfels import normals_beside, normals_nearest, tips_tree
+from planner.toolpath.waypoints.surfels import Samples, tips_tree
 
 # Struts fuse where they meet, and the later one begins or ends within the earlier one: its tip may come into the outer
 # half of that. The inner half is its core, where no tip has to be.
@@ -24,7 +24,7 @@ _APART = 0.125  # diameters between points along a strut's middle
 
 
 @dataclass(frozen=True)
-class Struts:
+class Struts(Samples):
     """The cores of struts, in print order; lengths in metres, part frame.
 
     tips, outward (n, 3)  the samples of all beads, and unit vectors against the nozzle's axis
@@ -53,14 +53,6 @@ class Struts:
         """Distance (n,) of points (n, 3) from the cores that are there, FAR at most; negative inside."""
         distance, nearest = nearest_printed(self.tree, self.printed, points)
         return distance - np.where(nearest < 0, 0.0, self.radius[nearest])
-
-    def normals(self, points: Array) -> Array:
-        """Unit vectors (n, 3) against the nozzle's axis at the places of the beads nearest to points (n, 3)."""
-        return normals_nearest(self, points)
-
-    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Unit vectors (n, 3) against the nozzle's axis of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m]."""
-        return normals_beside(self, bead, s, tips)
 
 
 def struts_of(beads: Sequence[Bead]) -> Struts:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -33,8 +32,36 @@ _SHARE = 0.3  # of the samples at least have something beneath them: all but the
 _LIKE, _MOST_UNLIKE = 0.25, 0.3  # as far as usual but for so much of that, and for so many of them
 
 
+class Samples:
+    """The samples of all beads, as `Surfels` and `Struts` have them: see there."""
+
+    tips: Array
+    outward: Array
+    along: Array
+    first: Ints
+    tip_tree: PrintedPoints
+
+    def normals(self, points: Array) -> Array:
+        """Outward unit vectors (n, 3) at the places of the beads nearest to points (n, 3)."""
+        _, k = nearest_printed(self.tip_tree, 0, points, np.inf)
+        bead = np.searchsorted(self.first, k, side="right") - 1
+        start = np.clip(k - _STENCIL // 2 + 1, self.first[bead], self.first[bead + 1] - _STENCIL)
+        return _normals(read_only(points), self.tips, self.outward, start, (k - start).astype(float))
+
+    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
+        """Outward unit vectors (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
+
+        However close other passes lie, or other parts of the bead, they say nothing here.
+        """
+        first, last = self.first[bead], self.first[bead + 1]
+        along = self.along[first:last]
+        start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
+        near = first + np.interp(s, along, np.arange(last - first)) - start
+        return _normals(read_only(np.ascontiguousarray(tips)), self.tips, self.outward, start, near)
+
+
 @dataclass(frozen=True)
-class Surfels:
+class Surfels(Samples):
     """Discs under the samples of all beads, in print order; lengths in metres, part frame.
 
     tips, outward (n, 3)   the samples and their outward unit normals
@@ -75,63 +102,6 @@ class Surfels:
         away = np.linalg.norm(way, axis=1)
         above = np.abs((way * self.outward[near]).sum(axis=1)) > _ABOVE * away
         return float(away[above & (away > 0.0)].min(initial=np.inf))
-
-    def normals(self, points: Array) -> Array:
-        """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-        return normals_nearest(self, points)
-
-    def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
-        """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m].
-
-        However close other passes lie, or other parts of the bead, they say nothing here.
-        """
-        return normals_beside(self, bead, s, tips)
-
-
-class Samples(Protocol):
-    """The samples of all beads, as `Surfels` has them."""
-
-    @property
-    def tips(self) -> Array:
-        """As of Surfels."""
-        ...
-
-    @property
-    def outward(self) -> Array:
-        """As of Surfels."""
-        ...
-
-    @property
-    def along(self) -> Array:
-        """As of Surfels."""
-        ...
-
-    @property
-    def first(self) -> Ints:
-        """As of Surfels."""
-        ...
-
-    @property
-    def tip_tree(self) -> PrintedPoints:
-        """As of Surfels."""
-        ...
-
-
-def normals_nearest(of: Samples, points: Array) -> Array:
-    """Outward unit normals (n, 3) at the places of the beads nearest to points (n, 3)."""
-    _, k = nearest_printed(of.tip_tree, 0, points, np.inf)
-    bead = np.searchsorted(of.first, k, side="right") - 1
-    start = np.clip(k - _STENCIL // 2 + 1, of.first[bead], of.first[bead + 1] - _STENCIL)
-    return _normals(read_only(points), of.tips, of.outward, start, (k - start).astype(float))
-
-
-def normals_beside(of: Samples, bead: int, s: Array, tips: Array) -> Array:
-    """Outward unit normals (n, 3) of a bead nearest to tips (n, 3) beside its arc lengths s (n) [m]."""
-    first, last = of.first[bead], of.first[bead + 1]
-    along = of.along[first:last]
-    start = np.clip(first + np.searchsorted(along, s) - _STENCIL // 2, first, last - _STENCIL)
-    near = first + np.interp(s, along, np.arange(last - first)) - start
-    return _normals(read_only(np.ascontiguousarray(tips)), of.tips, of.outward, start, near)
 
 
 @njit(cache=True)
