@@ -25,6 +25,7 @@ from scipy.spatial import cKDTree
 from benchmarks.wing import ONE_NOZZLE
 from planner.base.arrays import Array
 from planner.base.errors import PlannerError
+from planner.base.geometry import arc_lengths
 from planner.cell.bodies import nozzle_profile
 from planner.cell.solids import Body, triangles_of
 from planner.collision.print_body import TIP_SLOPE, print_body, standing
@@ -128,10 +129,7 @@ def pressed_by_coal(judged: Judged, looks: Sequence[int]) -> float:
     shapes = [(frustum(*pair), np.eye(4)) for pair in itertools.pairwise(profile)]
     laid, t, motion = laid_beads(judged), judged.trajectory, judged.motion
     reach, shaped = profile[0][1] + float((laid.width + laid.height).max()), profile[0][1] + float(laid.width.max())
-    print_, far = (
-        PrintOfCapsules(laid),
-        np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion.tip, axis=0), axis=1))]),
-    )
+    print_, far = PrintOfCapsules(laid), arc_lengths(motion.tip)
     deepest_ = 0.0
     for j in looks:
         T = np.eye(4)

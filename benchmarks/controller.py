@@ -23,6 +23,7 @@ from scipy.signal import lfilter, medfilt, savgol_filter
 from benchmarks.command import told
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, InputError
+from planner.base.geometry import arc_lengths
 from planner.cell.cell import Cell, build_cell
 from planner.export.fit import from_matrix
 from planner.export.player.model import ABB, MotionModel
@@ -140,7 +141,7 @@ def measured(t: Array, tip: Array, recording: Recording, middle: int = ROWS) -> 
     grid = np.arange(t[0], t[-1], TICK)
     even = np.column_stack([np.interp(grid, t, tip[:, k]) for k in range(3)])
     begin, end = stretch(grid, even, recording)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(even, axis=0), axis=1))])
+    way = arc_lengths(even)
     inside = (grid >= begin) & (grid <= end)
     window = min(int(WINDOW / TICK) | 1, (int(inside.sum()) - 1) | 1)
     speed = savgol_filter(way, window, 1, deriv=1, delta=TICK)
@@ -255,7 +256,7 @@ def smooth_postures(q: Array, tip: Array, places: Array) -> tuple[Array, Array]:
 
     Joints of one row may come from two ticks of the controller, so they are smoothed over KNOTS of path.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+    way = arc_lengths(tip)
     goes = np.concatenate([[True], np.diff(way) > 0.05 * np.median(np.diff(way))])
     way, q = way[goes], q[goes]
     inner = np.arange(way[0] + KNOTS, way[-1] - KNOTS, KNOTS)
@@ -278,7 +279,7 @@ def curves(cell: Cell, data: Path) -> Iterator[Recording]:
             continue
         t, q, tip = recorded(cell, *(data / file for file in files))
         stored = 1e-3 * table(data / command)[first:]
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))])
+        way = arc_lengths(tip)
         dense = np.linspace(0.0, way[-1], 20 * len(way))
         at = np.column_stack([np.interp(dense, way, tip[:, k]) for k in range(3)])
         passed = np.array([dense[int(np.argmin(np.linalg.norm(at - place, axis=1)))] for place in stored])

@@ -23,6 +23,7 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array
 from planner.base.command_line import one_of
 from planner.base.errors import InputError
+from planner.base.geometry import arc_lengths
 from planner.base.shipped import PROBLEMS
 from planner.feedback.height_map import HeightMap, height_map, planned_top
 from planner.feedback.scan_command import SHARE, radius_of
@@ -76,7 +77,7 @@ def cap(folder: Path) -> str:
     polar = dense * CAP_ANGLE
     azimuth = 2.0 * np.pi * turns * dense
     normal = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(CAP_RADIUS * normal, axis=0), axis=1))])
+    arc = arc_lengths(CAP_RADIUS * normal)
     at = np.interp(np.arange(0.0, arc[-1], 1.0), arc, dense)
     polar, azimuth = at * CAP_ANGLE, 2.0 * np.pi * turns * at
     normal = np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])

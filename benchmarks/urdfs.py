@@ -20,6 +20,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError, PlannerError
+from planner.base.geometry import wrap_angle
 from planner.base.shipped import PROBLEMS
 from planner.cell.kinematics.chain import refine
 from planner.cell.robot import Robot, chain_of
@@ -88,7 +89,7 @@ def branches_of(robot: Robot) -> tuple[int, int, float]:
 
 
 def _apart(a: Array, b: Array) -> float:
-    return float(np.abs(np.remainder(a - b + np.pi, 2.0 * np.pi) - np.pi).max())
+    return float(np.abs(wrap_angle(a - b)).max())
 
 
 def peer_cap() -> Cap:

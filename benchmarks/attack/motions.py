@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.attack.cases import ESCAPED, FOUND, HARMLESS, REFUSED, Case, Kind, Outcome
 from benchmarks.attack.prints import ON_POSITIONER, solved
-from planner.base.arrays import Array, Flags
+from planner.base.arrays import Array, Flags, true_runs
 from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.export.fit import angle, continuous, from_matrix
@@ -258,8 +258,7 @@ def _numbers(by: random.Random) -> np.random.Generator:
 
 
 def _spans(flags: Flags) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return [(a, b) for a, b in edges.reshape(-1, 2).tolist() if b - a > 12]
+    return [(a, b) for a, b in true_runs(flags).tolist() if b - a > 12]
 
 
 def _chosen(plan: Plan, rows: Any) -> Plan:

@@ -34,3 +34,9 @@ def read_only(values: NDArray[Any]) -> NDArray[Any]:
     view = np.ascontiguousarray(values).view()
     view.setflags(write=False)
     return view
+
+
+def true_runs(flags: Flags) -> Indices:
+    """Where each run of true flags (n) begins, and the place behind its end (k, 2)."""
+    padded = np.concatenate([[False], flags, [False]])
+    return np.flatnonzero(padded[1:] != padded[:-1]).reshape(-1, 2)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags, Indices
+from planner.base.arrays import Array, Flags, Indices, true_runs
+from planner.base.geometry import arc_lengths
 from planner.base.kept import kept
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.fit import angle, by_samples, continuous, fewest, lerp, slerp, to_matrix
@@ -178,8 +179,7 @@ def _between_beads(trajectory: Trajectory, first: Indices, last: Indices) -> tup
 
     fine: Flags = np.zeros(n, dtype=bool)
     found: list[tuple[int, int, int]] = []
-    bounds = np.diff(np.concatenate([[False], slow, [False]]).astype(np.int8))
-    for a, b in zip(np.flatnonzero(bounds > 0), np.flatnonzero(bounds < 0), strict=True):
+    for a, b in true_runs(slow):
         # a bead's own end is the better place for the stop, where there is one
         at = a + int(np.argmin(np.where(edge[a:b], -1.0, rate[a:b])))
         fine[at] = True
@@ -449,7 +449,7 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
         pose=pose,
         aim=pose,
         clock=rests.clock,
-        path=np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))]),
+        path=arc_lengths(t.tip),
         fed=np.array(fed),
         laid=t.deposit.copy(),
         tolerance=np.array(

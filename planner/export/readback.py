@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags, Indices
+from planner.base.arrays import Array, Flags, Indices, true_runs
 from planner.base.errors import InputError
 from planner.export.arcs import LinesAndArcs, segments
 from planner.export.external import external_read, external_written
@@ -78,9 +78,8 @@ def moving_time(t: Trajectory) -> Array:
 def _before_and_between_beads(t: Trajectory) -> list[tuple[float, float, float]]:
     """Start, duration and doubt [s] of each time that the robot stands still while nothing is laid."""
     still = (np.abs(np.diff(t.q, axis=0)).max(axis=1) < STILL) & ~(t.deposit[1:] & t.deposit[:-1])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(np.int8)))
     found = []
-    for a, b in edges.reshape(-1, 2).tolist():
+    for a, b in true_runs(still).tolist():
         lasts = (b - a) * t.dt
         known = sum(event.duration for event in rested_for(t, a, b))
         if known > 0.0 and abs(lasts - known) < LEAST_WAIT:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
+from planner.base.arrays import Array, Ints, ReadOnlyArrays, true_runs
 from planner.base.errors import InputError
 from planner.feedback.filters import noise_of
 from planner.feedback.identify_program import AskedMoves
@@ -84,7 +84,8 @@ def find_rests(time: Array, q: Array, asked: AskedMoves) -> RecordedRests:
     quiet[count : count + len(change)] = (change < still).all(axis=1)
     # at the ends of a file there is nothing before, or behind: as beside them
     quiet[:count], quiet[count + len(change) :] = quiet[count], quiet[count + len(change) - 1]
-    ends = _runs(quiet)
+    ends = true_runs(quiet).astype(np.int64)
+    ends[:, 1] -= 1
     ends = ends[time[ends[:, 1]] - time[ends[:, 0]] >= LEAST_REST]
     postures = np.array([q[_middle(first, last)].mean(axis=0) for first, last in ends]).reshape(-1, q.shape[1])
     return _joined(ends, postures, _tolerances(asked, SAME))
@@ -98,12 +99,6 @@ def _joined(ends: Ints, postures: Array, same: Array) -> RecordedRests:
     first = np.flatnonzero(begins)
     last = np.append(first[1:], len(ends)) - 1
     return RecordedRests(np.column_stack([ends[first, 0], ends[last, 1]]), postures[first])
-
-
-def _runs(flags: Flags) -> Ints:
-    """First and last index (r, 2) of each run of true flags."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return np.column_stack([edges[0::2], edges[1::2] - 1]).astype(np.int64)
 
 
 def _middle(first: int, last: int) -> slice:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices, ReadOnlyArrays
+from planner.base.geometry import arc_lengths
 from planner.cell.cell import Cell
 from planner.feedback.filters import noise_left, noise_of, slope_of, smoothed, window_of
 from planner.feedback.tracking import beside, track, tracked_path
@@ -47,7 +48,7 @@ class CommandedPath(ReadOnlyArrays):
     @property
     def way(self) -> Array:
         """Metres of the tip's path (k) up to each posture."""
-        return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(self.tip, axis=0), axis=1)))
+        return arc_lengths(self.tip)
 
 
 @dataclass(frozen=True)

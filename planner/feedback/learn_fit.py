@@ -14,7 +14,8 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.ndimage import uniform_filter1d
 
-from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
+from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays, true_runs
+from planner.base.geometry import arc_lengths
 from planner.feedback.filters import noise_of
 from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import Corrections
@@ -86,7 +87,7 @@ def _executed(run: RecordedWay, rows: Ints) -> Array:
 
 def _speed(t: Trajectory, when: Array, known: Flags) -> Array:
     """Speed along the plan (n) [m/s], of the ten samples around each."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    way = arc_lengths(t.tip)
     k = np.arange(len(t))
     a, b = np.maximum(k - 5, 0), np.minimum(k + 5, len(t) - 1)
     inside = known & known[a] & known[b] & (t.bead[a] == t.bead[b])
@@ -118,9 +119,8 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
     the best one had left: so a robot on which a correction does harm keeps the one that did not.
     """
     step = max(round(KNOT / t.dt), 1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
     rows: list[tuple[Array, ...]] = []
-    for first, last in edges.tolist():
+    for first, last in true_runs(t.deposit).tolist():
         own = np.arange(first, last)
         knots = np.unique(np.append(np.arange(0, len(own), step), len(own) - 1))
         knots = knots[np.append(True, np.diff(t.s[own[knots]]) > APART)]  # it may rest on a bead

@@ -12,6 +12,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Indices
 from planner.base.compiled import njit
+from planner.base.geometry import arc_lengths
 
 AHEAD = 25e-3  # m of path in which the next place is sought: beyond corners that a controller cuts in travel
 AHEAD_TIMES = 2.0  # the robot's own way, besides
@@ -31,10 +32,7 @@ class TrackedPath(NamedTuple):
 
 def tracked_path(points: Array) -> TrackedPath:
     """The path through points (n, d) [m]."""
-    return TrackedPath(
-        np.ascontiguousarray(points),
-        np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))),
-    )
+    return TrackedPath(np.ascontiguousarray(points), arc_lengths(points))
 
 
 def track(path: TrackedPath, samples: Array, gone: Array) -> tuple[Array, Array]:

@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays
+from planner.base.arrays import Array, Flags, Indices, Ints, ReadOnlyArrays, true_runs
 from planner.base.errors import Complaint
 from planner.base.files import read_text
+from planner.base.geometry import arc_lengths
 from planner.cell.cell import Cell
 from planner.plan.plan import by_nozzle
 from planner.plan.trajectory import Trajectory
@@ -126,7 +127,7 @@ def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:
     """By how much the tip is displaced at each sample (n, 3) [m], part frame."""
     t = trajectory
     out = np.zeros((len(t), 3))
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], t.deposit, [False]]).astype(np.int8))).reshape(-1, 2)
+    edges = true_runs(t.deposit)
     begin = np.searchsorted(corrections.bead, t.bead[edges[:, 0]], side="left")
     end = np.searchsorted(corrections.bead, t.bead[edges[:, 0]], side="right")
     for (first, last), a, b in zip(edges.tolist(), begin.tolist(), end.tolist(), strict=True):
@@ -139,7 +140,7 @@ def displacements(corrections: Corrections, trajectory: Trajectory) -> Array:
 
 def _fade(out: Array, t: Trajectory, edges: Indices) -> None:
     """Let displacements (n, 3) fade beyond the ends of deposition (k, 2), smoothly by way, into each other's never."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    way = arc_lengths(t.tip)
     first, last = edges[:, 0], edges[:, 1] - 1
     begins, ends = np.append(first, len(t) - 1), np.append(0, last)  # of each stretch of travel
     for k, (a, b) in enumerate(zip(ends.tolist(), begins.tolist(), strict=True)):

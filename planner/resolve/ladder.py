@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import Blocked, Refusal
-from planner.base.geometry import TURN
+from planner.base.geometry import TURN, wrap_angle
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
@@ -267,7 +267,7 @@ def wound_from_home(cell: Cell, found: LadderRoute) -> set[int]:
     na = len(cell.arm)
     q = _joints_along(cell, found)[0][:, :na] - cell.home[:na]
     start, end = q[0], q[-1]
-    short = sum(np.abs(np.remainder(x + np.pi, TURN) - np.pi) for x in (start, end))
+    short = sum(np.abs(wrap_angle(x)) for x in (start, end))
     turned = [-TURN * np.round(x / TURN) for x in (start, end)]
     least = np.min([np.abs(start + turn) + np.abs(end + turn) for turn in turned], axis=0)
     return set(np.flatnonzero((least > short + np.pi) & cell.limits.turns[:na]).tolist())

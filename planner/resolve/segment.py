@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Ints
+from planner.base.geometry import arc_lengths
 from planner.base.processes import in_blocks
 from planner.collision.margins import nearest_margins
 from planner.collision.scene import BLOCK, NOTHING, Obstacles
@@ -58,7 +59,7 @@ def clearances(
     n, nj = q.shape
     if not obstacles.any:
         return Clearances(np.zeros(n), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, G.shape[2])))
-    gone = np.concatenate([np.zeros(1), np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1))]) // EVERY
+    gone = arc_lengths(tip) // EVERY
     begins = np.concatenate([np.ones(1, dtype=np.bool_), np.diff(gone) > 0.0])
     begins[:first], begins[first] = False, True
     fine = np.flatnonzero(begins)

@@ -13,6 +13,7 @@ import numpy as np
 from planner.base.arguments import as_one_of, as_path
 from planner.base.errors import InputError, OutputError, nearest_name
 from planner.base.extras import missing_extra
+from planner.base.geometry import wrap_angle
 from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
@@ -173,7 +174,7 @@ def _missed(robot: Robot) -> float:
     low, high = np.maximum(model.lowerPositionLimit, -np.pi), np.minimum(model.upperPositionLimit, np.pi)
     q = np.random.default_rng(0).uniform(low, high, (_TRIED, len(low)))
     solved, ok = inverse.solve(inverse.poses(q), q[:, inverse.redundant_joint])
-    away = np.abs((solved - q[:, None] + np.pi) % (2.0 * np.pi) - np.pi).max(axis=2)
+    away = np.abs(wrap_angle(solved - q[:, None])).max(axis=2)
     return 1.0 - float((ok & (away < _SAME)).any(axis=1).mean())
 
 

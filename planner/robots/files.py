@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.base.shipped import PROBLEM_SCHEMA
 from planner.problem.fields import identifier_like
 from planner.problem.yaml_file import yaml_text
@@ -94,7 +95,7 @@ def spiral(radius_mm: float) -> str:
     """Waypoints of a spiral from the top of a cap to its rim, as those of a Cap."""
     turns = POLAR * radius_mm / PITCH_MM
     fine = np.linspace(0.0, 2.0 * np.pi * turns, 20000)
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(_cap(fine, turns) * radius_mm, axis=0), axis=1))])
+    arc = arc_lengths(_cap(fine, turns) * radius_mm)
     at = np.interp(np.linspace(0.0, arc[-1], int(arc[-1] / STEP_MM) + 1), arc, fine)
     normals = _cap(at, turns)
     rows = np.hstack([radius_mm * normals, normals])

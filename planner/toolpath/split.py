@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
+from planner.base.geometry import arc_lengths
 from planner.toolpath.bead import Bead, Split, Surface, Toolpath
 
 _DRIFT = 0.02  # share of a bead's length by which its source's may be off up to a place
@@ -42,7 +43,7 @@ def split_toolpath(
 def _piece(bead: Bead, first: int, last: int, number: int) -> Bead:
     """Samples first .. last of a bead as a bead of their own."""
     own = slice(first, last + 1)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(bead.source, axis=0), axis=1))])
+    along = arc_lengths(bead.source)
     low, high = (_on_source(bead, along, i) for i in (first, last))
     inner = (along > low) & (along < high)
     ends = [np.stack([np.interp(at, along, column) for column in bead.source.T], axis=-1) for at in (low, high)]

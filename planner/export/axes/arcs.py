@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planner.base.arrays import Array, Flags, Indices
+from planner.base.geometry import arc_lengths
 from planner.export.arcs import segments
 from planner.export.axes.machine import Followed
 from planner.export.primitives import LEAST_CHORD, LEAST_SWEPT, MOST_SWEPT
@@ -93,7 +94,7 @@ def _arc(motion: Followed, a: int, b: int, tolerance: tuple[float, float, float]
     """Via point (3) of the arc that meets samples a to b, and the middles between them; None where none does."""
     p, t, feed = motion.straight[a : b + 1], motion.t[a : b + 1], motion.feed[a : b + 1]
     chord, filament, late = tolerance
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    path = arc_lengths(p)
     middle = int(np.argmin(np.abs(path - 0.5 * path[-1])))
     via = p[middle]
     arc = segments(p[:1], via[None], p[-1:], np.array([True]))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from planner.base.geometry import arc_lengths
 from planner.export.fit import continuous, from_matrix
 from planner.export.player.controller import PostureKnots, knots_of
 from planner.export.player.model import PLAIN, MotionModel
@@ -149,7 +150,7 @@ def _passed(knots: PostureKnots, played: Played, i: int, distance: float, from_s
     """When the tip has a distance [m] from the start, or from the end, of move i: never outside of it [s]."""
     last = int(knots.target[i])
     first = int(knots.target[i - 1]) if i else 0
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(knots.position[first : last + 1], axis=0), axis=1))])
+    way = arc_lengths(knots.position[first : last + 1])
     at = float(np.clip(distance if from_start else way[-1] - distance, 0.0, way[-1]))
     if at >= way[-1] and not (from_start and distance <= 0.0):
         return float(played.arrive[i])

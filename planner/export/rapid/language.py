@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.geometry import arc_lengths
 from planner.export.board import selected_tool
 from planner.export.external import external_written, moving_unit, task_axes
 from planner.export.extruder import AMOUNT, filament_differences, orders
@@ -187,7 +188,7 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
     t, scale = plan.trajectory, plan.problem.program.demand_scale * 1e9
     planned = flow(plan) * scale
     total = np.concatenate([[0.0], np.cumsum(planned)])
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(t.tip, axis=0), axis=1))])
+    path = arc_lengths(t.tip)
     lengths = np.concatenate([[0.0], program.segments.length])
     way = np.cumsum(lengths)
     asked = _asked(program, lengths)

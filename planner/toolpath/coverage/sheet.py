@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Ints, true_runs
 from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import arc_lengths
 
@@ -457,9 +457,7 @@ def _sides(sheet: FaceMesh, loop: Ints, spacing: float) -> list[Ints]:
     # of the points beside a corner, the one where the edge turns most
     shift = int(np.flatnonzero(~bent)[0])
     bent, cosine, order = np.roll(bent, -shift), np.roll(cosine, -shift), np.roll(loop, -shift)
-    runs = np.flatnonzero(np.diff(bent.astype(np.int64)) == 1) + 1
-    stops = np.flatnonzero(np.diff(np.append(bent, False).astype(np.int64)) == -1) + 1
-    corner = [a + int(np.argmin(cosine[a:b])) for a, b in zip(runs, stops, strict=True)]
+    corner = [a + int(np.argmin(cosine[a:b])) for a, b in true_runs(bent)]
     if len(corner) < 2:
         return []
     twice = np.concatenate([order, order])

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Flags, Ints
+from planner.base.arrays import Array, Flags, Ints, true_runs
 from planner.base.geometry import arc_lengths
 from planner.problem import Problem
 from planner.toolpath.plane_paths import PlaneCurve, densify, length
@@ -212,8 +212,7 @@ def trim_curve(curve: PlaneCurve, keep: Flags) -> list[PlaneCurve]:
 
 def _runs(keep: Flags, closed: bool) -> list[tuple[int, int]]:
     """First and last place of each run of kept places (n), not all of them; past n - 1 where it crosses the seam."""
-    change = np.flatnonzero(np.diff(np.concatenate([[0], keep.astype(np.int8), [0]])))
-    runs = [(int(first), int(end) - 1) for first, end in change.reshape(-1, 2)]
+    runs = [(first, end - 1) for first, end in true_runs(keep).tolist()]
     if closed and len(runs) > 1 and runs[0][0] == 0 and runs[-1][1] == len(keep) - 1:
         runs = [*runs[1:-1], (runs[-1][0], len(keep) - 1 + runs[0][1])]
     return runs

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, true_runs
 from planner.toolpath.bead import Bead
 from planner.toolpath.wing.section import SHORTEST
 from planner.toolpath.wing.sheets import WingSheet
@@ -139,13 +139,9 @@ def _where(room: Array, y: Array) -> list[tuple[float, float]]:
     """Intervals of y where room (n), straight between its places y (n), is not negative; NaN counts as none."""
     ok = np.nan_to_num(room, nan=-np.inf) >= 0.0
     found = []
-    for start, end in zip(
-        np.flatnonzero(np.diff(np.concatenate([[False], ok]).astype(int)) > 0),
-        np.flatnonzero(np.diff(np.concatenate([ok, [False]]).astype(int)) < 0),
-        strict=True,
-    ):
+    for start, behind in true_runs(ok):
         bounds = []
-        for inner, outer in ((start, start - 1), (end, end + 1)):
+        for inner, outer in ((start, start - 1), (behind - 1, behind)):
             beyond = outer < 0 or outer >= len(y) or np.isnan(room[outer])
             share = 0.0 if beyond else max(room[inner], 0.0) / (max(room[inner], 0.0) - room[outer])
             bounds.append(float(y[inner] + share * (y[np.clip(outer, 0, len(y) - 1)] - y[inner])))

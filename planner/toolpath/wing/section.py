@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, true_runs
 from planner.base.errors import Complaint, InputError
 from planner.base.files import read_lines
 from planner.problem import Problem
@@ -141,12 +141,10 @@ def parallels(
             clear = np.minimum(clear, side.distance(points) - abs(distance) + _CROSSES)
         return np.minimum(clear, np.abs(inward[:, 1]) - np.cos(tilt))
 
-    inside = np.concatenate([[False], room(side.grid) >= 0.0, [False]])
-    starts, ends = np.flatnonzero(np.diff(inside.astype(int)) > 0), np.flatnonzero(np.diff(inside.astype(int)) < 0) - 1
     found = []
-    for start, end in zip(starts, ends, strict=True):
+    for start, behind in true_runs(room(side.grid) >= 0.0):
         bounds: list[float] = []
-        for k, beyond in ((start, start - 1), (end, end + 1)):
+        for k, beyond in ((start, start - 1), (behind - 1, behind)):
             good, bad = side.grid[k], side.grid[int(np.clip(beyond, 0, len(side.grid) - 1))]
             for _ in range(_HALVINGS):
                 middle = 0.5 * (good + bad)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, true_runs
 from planner.problem import Problem
 from planner.problem.layers import AerofoilLayersSpec, SupportSpec
 from planner.toolpath.wing.section import AerofoilSection, parallels
@@ -81,8 +81,7 @@ def below(under: Array, top: float, ends: tuple[float, float]) -> list[tuple[flo
     beside = [low, under[0, 0] - _ROUNDING, under[-1, 0] + _ROUNDING, high]
     x = np.unique(np.clip(np.concatenate([beside, under[:, 0]]), low, high))
     room = np.interp(x, under[:, 0], under[:, 1], left=np.inf, right=np.inf) >= top - _ROUNDING
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], room, [False]]).astype(int)))
-    return [(float(x[a]), float(x[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(float(x[a]), float(x[b - 1])) for a, b in true_runs(room)]
 
 
 def _underside(section: AerofoilSection, spec: AerofoilLayersSpec, support: SupportSpec) -> Array:
