@@ -25,7 +25,7 @@ from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.errors import Complaint
 from planner.base.files import read_text
 from planner.problem import Problem
-from planner.toolpath.bead import Bead, Surface, Toolpath
+from planner.toolpath.bead import Bead, Surface, SurfaceOver, Toolpath
 from planner.toolpath.plane_paths import arc_length
 
 COLUMNS = ("x_mm", "y_mm", "z_mm", "nx", "ny", "nz", "deviation_mm")  # of a map's file, and more that is for people
@@ -217,21 +217,12 @@ def on_what_is_printed(problem: Problem, toolpath: Toolpath) -> Toolpath:
 
 
 @dataclass(frozen=True)
-class ScannedSurface:
+class ScannedSurface(SurfaceOver):
     """The surface beneath a toolpath whose beads were moved to where a print is: arc lengths of each bead's samples as it is
     laid, and as it was drawn [m]."""
 
-    surface: Surface
     laid: tuple[Array, ...]
     drawn: tuple[Array, ...]
-
-    def signed_distance(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.signed_distance(points)
-
-    def normals(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Normals on which a bead was drawn, at the same samples."""

@@ -109,6 +109,21 @@ class Surface(Protocol):
 
 
 @dataclass(frozen=True)
+class SurfaceOver:
+    """A surface with the bodies of another one: its beads are other ones, or called otherwise."""
+
+    surface: Surface
+
+    def signed_distance(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.signed_distance(points)
+
+    def normals(self, points: Array) -> Array:
+        """As of the surface."""
+        return self.surface.normals(points)
+
+
+@dataclass(frozen=True)
 class Bead(ReadOnlyArrays):
     """One line of material, laid down without interruption.
 

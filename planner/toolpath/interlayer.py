@@ -22,7 +22,7 @@ from planner.problem import Problem
 from planner.problem.by_layer import InterlayerTimeSpec
 from planner.problem.layers import GcodeLayersSpec, VolumeLayersSpec, WaypointLayersSpec
 from planner.problem.process import ProcessSpec
-from planner.toolpath.bead import Bead, Surface, Toolpath
+from planner.toolpath.bead import Bead, Surface, SurfaceOver, Toolpath
 from planner.toolpath.contacts import BeadContacts, contacts
 from planner.toolpath.ordering import rank
 from planner.toolpath.runs import least_travel_time
@@ -383,23 +383,14 @@ def _turned(bead: Bead) -> Bead:
 
 
 @dataclass(frozen=True)
-class ArrangedSurface(ReadOnlyArrays):
+class ArrangedSurface(ReadOnlyArrays, SurfaceOver):
     """The surface beneath a toolpath whose layers are laid in another order.
 
     origin (k)  number that each bead had;  turned (k)  its length where it runs backwards [m], else not a number
     """
 
-    surface: Surface
     origin: Ints
     turned: Array
-
-    def signed_distance(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.signed_distance(points)
-
-    def normals(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Normals on which a bead is laid."""

@@ -12,7 +12,7 @@ import shapely
 from planner.base.arrays import Array
 from planner.problem import Problem
 from planner.problem.by_layer import SkirtSpec
-from planner.toolpath.bead import Bead, Surface, Toolpath
+from planner.toolpath.bead import Bead, Surface, SurfaceOver, Toolpath
 from planner.toolpath.plane_paths import densify, make_bead, round_corners, with_seam
 from planner.toolpath.svg.outlines import PlanePath
 from planner.toolpath.task import roll_zeros
@@ -70,19 +70,10 @@ def _bead(problem: Problem, path: PlanePath, like: Bead, z: float) -> Bead:
 
 
 @dataclass(frozen=True)
-class SkirtedSurface:
+class SkirtedSurface(SurfaceOver):
     """The surface beneath a toolpath whose first `lines` beads lie around its first layer, on the bed."""
 
-    surface: Surface
     lines: int
-
-    def signed_distance(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.signed_distance(points)
-
-    def normals(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Up on the lines, else as of the surface."""

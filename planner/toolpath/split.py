@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays
 from planner.base.geometry import arc_lengths
-from planner.toolpath.bead import Bead, Split, Surface, Toolpath
+from planner.toolpath.bead import Bead, Split, Surface, SurfaceOver, Toolpath
 
 _DRIFT = 0.02  # share of a bead's length by which its source's may be off up to a place
 
@@ -89,20 +89,11 @@ def _notes(splits: Sequence[Split]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class PiecewiseSurface(ReadOnlyArrays):
+class PiecewiseSurface(ReadOnlyArrays, SurfaceOver):
     """The surface beneath a toolpath whose beads are pieces of others: origin (n) of those, begin (n) along them [m]."""
 
-    surface: Surface
     origin: Ints
     begin: Array
-
-    def signed_distance(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.signed_distance(points)
-
-    def normals(self, points: Array) -> Array:
-        """As of the surface."""
-        return self.surface.normals(points)
 
     def normals_on(self, bead: int, s: Array, tips: Array) -> Array:
         """Normals on which a piece is laid."""
