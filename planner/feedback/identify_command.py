@@ -122,7 +122,7 @@ def identify_write_command() -> Command:
     )
     parser.add_argument(
         "--start",
-        type=_values,
+        type=_numbers,
         metavar="VALUES",
         help="posture around which joints move, one value for each in degrees, or mm where it slides (default: home)",
     )
@@ -220,7 +220,8 @@ def _read(options: argparse.Namespace) -> int:
         return _read_run(options, problem, cell)
     robots = robots_of(problem, cell)
     check_targets(robots, options.out)
-    asked = read_asked(_asked_path(options, problem), problem, cell)
+    file = _asked_file(options.asked, options.log, f"{problem.name}_identify", asked_name(problem.name))
+    asked = read_asked(file, problem, cell)
     log = match(read_log(options.log, cell, options.columns, options.topic), asked)
     limits = cell.limits
     log, fits = fit_joints(log, asked, (limits.velocity, limits.acceleration, limits.jerk))
@@ -252,12 +253,10 @@ def _read_run(options: argparse.Namespace, problem: Problem, cell: Cell) -> int:
     return EXIT_VERIFIED
 
 
-def _asked_path(options: argparse.Namespace, problem: Problem) -> Path:
-    if options.asked is not None:
-        return Path(options.asked)
-    name = asked_name(problem.name)
-    beside = options.log.parent / name
-    return beside if beside.is_file() else Path("out") / f"{problem.name}_identify" / name
+def _asked_file(given: Path | None, recorded: Path, folder: str, name: str) -> Path:
+    """The file with what was asked: the one that is given, else beside what was recorded, or where it was written."""
+    beside = recorded.parent / name
+    return given or (beside if beside.is_file() else Path("out") / folder / name)
 
 
 def _limit_lines(cell: Cell, fits: Sequence[JointFit]) -> list[str]:
@@ -356,18 +355,25 @@ def _add_cell(parser: Command) -> None:
     )
 
 
-def _values(text: str) -> tuple[float, ...]:
+def _numbers(
+    text: str, what: str = "list of numbers", count: int | None = None, low: float = -math.inf, high: float = math.inf
+) -> tuple[float, ...]:
+    """Numbers between low and high, so many of them if there is a count."""
     try:
         values = tuple(float(word) for word in text.replace(",", " ").split())
     except ValueError:
         values = ()
-    if not values or not np.isfinite(values).all():
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of numbers")
+    if not values or count not in (None, len(values)) or not all(low < value < high for value in values):
+        raise argparse.ArgumentTypeError(f"{text!r} is no {what}")
     return values
 
 
+_place = partial(_numbers, what="place: three numbers", count=3)
+_bead = partial(_numbers, what="bead: width and height in mm", count=2, low=0.0, high=100.0)
+
+
 def _lengths(text: str) -> tuple[float, ...]:
-    values = _values(text)
+    values = _numbers(text)
     if min(values) < 0.0:
         raise argparse.ArgumentTypeError(f"{text!r}: not below 0")
     return values
@@ -493,7 +499,8 @@ def _read_line(options: argparse.Namespace) -> int:
     problem = load_problem(options.problem)
     if options.write is not None and options.write.exists():
         raise OutputError(f"{options.write} is there already, and stays as it is: choose another name")
-    line = read_asked_line(_asked_line_path(options, problem), problem)
+    name = f"{problem.name[: LONGEST_NAME - 5]}_line_asked.json"
+    line = read_asked_line(_asked_file(options.asked, options.table, f"{problem.name}_line", name), problem)
     density = None if options.density is None else 1e3 * options.density
     found = fit_flow(read_table(options.table, line), line, density)
     values = process_values(found, line, problem)
@@ -521,34 +528,6 @@ def _section(values: dict[str, Value]) -> str:
             lag = value["lag_s"] if isinstance(value, dict) else value
             out.append(f"  extruder: {{lag_s: {lag:g}}}")
     return "\n".join(out)
-
-
-def _asked_line_path(options: argparse.Namespace, problem: Problem) -> Path:
-    if options.asked is not None:
-        return Path(options.asked)
-    name = f"{problem.name[: LONGEST_NAME - 5]}_line_asked.json"
-    beside = options.table.parent / name
-    return Path(beside) if beside.is_file() else Path("out") / f"{problem.name}_line" / name
-
-
-def _place(text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(word) for word in text.replace(",", " ").split())
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers") from None
-    if not all(map(math.isfinite, (x, y, z))):
-        raise argparse.ArgumentTypeError(f"{text!r} is no place: three numbers")
-    return x, y, z
-
-
-def _bead(text: str) -> tuple[float, float]:
-    try:
-        width, height = (float(word) for word in text.replace(",", " ").split())
-    except ValueError:
-        width = height = math.nan
-    if not (0.0 < width < 100.0 and 0.0 < height < 100.0):
-        raise argparse.ArgumentTypeError(f"{text!r} is no bead: width and height in mm")
-    return width, height
 
 
 def _positive(text: str) -> float:
