@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -18,7 +17,8 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.budgets import DRAWING_POINTS, SVG_BYTES, SVG_DEPTH, SVG_ELEMENTS
-from planner.base.errors import InputError, nearest_name
+from planner.base.errors import Complaint, InputError, nearest_name
+from planner.base.files import read_bytes
 
 MAX_BYTES, MAX_ELEMENTS, MAX_DEPTH, MAX_POINTS = (
     limit.most for limit in (SVG_BYTES, SVG_ELEMENTS, SVG_DEPTH, DRAWING_POINTS)
@@ -124,20 +124,12 @@ class Node:
         return value
 
 
-def read_document(path: Path, complain: Callable[..., InputError]) -> Node:
+def read_document(path: Path, complain: Complaint) -> Node:
     """Read the file into a tree of SVG elements, which is returned by its root; nothing else is ever opened.
 
     Raises InputError for what is unsafe, too large or malformed, and for elements that can never be printed.
     """
-    try:
-        if not path.is_file():
-            raise complain(f"there is no file {path}")
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise complain(f"cannot read {path}: {error.strerror}") from error
-    if len(data) > MAX_BYTES:
-        raise complain(f"{path.name} is larger than {MAX_BYTES // 10**6} MB")
+    data = read_bytes(path, MAX_BYTES, complain)
     if data.startswith(b"\x1f\x8b"):
         raise complain(f"{path.name} is compressed", hint="save it as plain SVG")
     # expat drops unknown entities in silence where an external DTD is named, so a DOCTYPE of a name only goes first.
