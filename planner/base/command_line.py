@@ -163,6 +163,18 @@ def one_of(names: Sequence[str]) -> Callable[[str], str]:
     return check
 
 
+def some_of(names: Sequence[str], least: int = 0) -> Callable[[str], tuple[str, ...]]:
+    """The type of an argument that is some of the names, `least` or more, each once, with commas between them."""
+
+    def check(text: str) -> tuple[str, ...]:
+        found = tuple(name.strip() for name in text.split(",") if name.strip())
+        if len(found) < least or len(set(found)) < len(found) or not set(found) <= set(names):
+            raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(names)} once at most")
+        return found
+
+    return check
+
+
 def number_within(text: str, low: float, high: float, what: str) -> float:
     """A number from low to high; of an option's type. Raises ArgumentTypeError, which says what it should be."""
     try:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.command_line import Command, exit_code, number_within
+from planner.base.command_line import Command, exit_code, number_within, some_of
 from planner.base.errors import EXIT_VERIFIED, InputError
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
@@ -210,7 +210,7 @@ def scan_command() -> Command:
     parser.add_argument(
         "--fit",
         nargs="?",
-        type=_freedoms,
+        type=some_of(FREEDOMS, 1),
         const=FREEDOMS,
         metavar="NAMES",
         help="first move the cloud onto the planned top, by 10 mm and 5 degrees at most; of x,y,z,rx,ry,rz (default all)",
@@ -235,13 +235,6 @@ def scan_command() -> Command:
     parser.add_argument("--map-only", action="store_true", help="plan nothing")
     parser.add_argument("--quiet", action="store_true", help="no progress bars")
     return parser
-
-
-def _freedoms(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    if not names or len(set(names)) < len(names) or any(name not in FREEDOMS for name in names):
-        raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(FREEDOMS)} once at most")
-    return names
 
 
 def _share(text: str) -> float:

@@ -43,8 +43,6 @@ def facets_of_bodies(path: Path, most: int, where: Complaint) -> tuple[Array, In
     check_step(path, where)
     request = {"file": str(path.resolve()), "chord_mm": CHORD, "most": most}
     answer = asked(_FACETS, request, path.name, where)
-    if "reason" in answer:
-        raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
     return answer["corners"], answer["facets"]
 
 
@@ -133,4 +131,6 @@ def asked(module: str, request: dict[str, Any], name: str, where: Complaint) -> 
         raise where(f"{name} cannot be read: {killed}", hint="export the part without its details") from None
     if answer is None:
         raise damaged
+    if "reason" in answer:
+        raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
     return answer

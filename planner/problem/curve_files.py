@@ -59,8 +59,6 @@ def _of_cad(path: Path, where: Complaint) -> dict[str, Any]:
     """What stands in a STEP or IGES file, as a file of curves would have it."""
     check_step(path, where)
     found = asked(_CURVES, {"file": str(path.resolve())}, path.name, where)
-    if "reason" in found:
-        raise where(str(found["reason"]), hint=str(found["hint"]))
     curves = []
     for k in range(int(found["curves"])):
         points, weights, knots = (found[f"{k}.{key}"].tolist() for key in ("points", "weights", "knots"))

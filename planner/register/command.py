@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from planner.base.command_line import Command, exit_code
+from planner.base.command_line import Command, exit_code, some_of
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError
 from planner.planning.options import add_problem
 from planner.problem import Problem, load_problem
@@ -154,7 +154,7 @@ def register_command() -> Command:
     )
     parser.add_argument(
         "--free",
-        type=_freedoms,
+        type=some_of(FREEDOMS),
         metavar="NAMES",
         help="freedoms of the part, of x,y,z,rx,ry,rz (default all; of a cylinder x,y)",
     )
@@ -213,14 +213,6 @@ def _millimetres(text: str) -> float:
     if not 0.0 < value <= 100.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a length between 0 and 100 mm")
     return value * 1e-3
-
-
-def _freedoms(text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    wrong = [name for name in names if name not in FREEDOMS]
-    if wrong or len(set(names)) < len(names):
-        raise argparse.ArgumentTypeError(f"{text!r}: each of {','.join(FREEDOMS)} once at most")
-    return names
 
 
 def _picture(text: str) -> Path:

@@ -111,8 +111,6 @@ def read_faces(spec: StepSpec, apart: float, where: Complaint) -> FacesRead:
         "file": str(spec.file.resolve()), "faces": spec.faces, "apart_mm": apart * 1e3, "sew_mm": spec.sew * 1e3,
     }  # fmt: skip
     answer = asked(_READER, request, name, where)
-    if "reason" in answer:
-        raise where(str(answer["reason"]), hint=str(answer["hint"]) or None)
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     faces = [_face(answer, k, turn, spec) for k in range(int(answer["faces"]))]
     for face in faces:
