@@ -16,6 +16,7 @@ from planner.problem.fields import (
     TEXT,
     UNIQUE,
     UNIT_VECTOR,
+    Angles,
     Position,
     Quantity,
     Section,
@@ -29,7 +30,6 @@ from planner.problem.fields import (
 CARRIERS = ("world", "part")
 MOUNTINGS = ("together", "one")
 Side = Annotated[Vector, Quantity("mm", 0.1, 100_000, count=3)]
-Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
 
 Text = Annotated[str, TEXT]
 NozzleName = Annotated[str, IDENTIFIER]
@@ -154,7 +154,7 @@ class PositionerSpec(Section):
         "home_mm", "places of free axes that slide, where the search starts, by name [mm]; each default 0", {}
     )
     part: Position = key("part_mm", "origin of the part frame on the plate or flange [mm]", (0, 0, 0))
-    part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+    part_rpy: Angles = key(
         "part_rpy_deg", "the part frame turned about x, then y, then z of the plate or flange [deg]", (0, 0, 0)
     )
 
@@ -251,7 +251,7 @@ class CellSpec(Section):
     )
     positioner: PositionerSpec | None = key("positioner", "what turns the part; default: none, but a bed", None)
     bed: Position | None = key("bed_mm", "origin of the part frame on a fixed bed [mm]; default: none", None)
-    bed_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+    bed_rpy: Angles = key(
         "bed_rpy_deg", "the part frame on a fixed bed turned about x, then y, then z of the world [deg]", (0, 0, 0)
     )
     fixtures: dict[Text, FixtureSpec] = key(

@@ -280,6 +280,7 @@ UNIQUE = AfterValidator(_unique)
 INCREASING = AfterValidator(_increasing)
 UNIT_VECTOR = AfterValidator(_unit_vector)
 Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
+Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
 Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
 
 

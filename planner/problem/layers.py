@@ -31,12 +31,12 @@ from planner.problem.fields import (
     PATH,
     PATH_OR_ARRAYS,
     UNIQUE,
+    Angles,
     Form,
     Position,
     Quantity,
     Section,
     Thickness,
-    Vector,
     exactly_one,
     key,
     one_of,
@@ -420,9 +420,7 @@ class SolidSpec(SourceSection):
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
-    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
-        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
-    )
+    rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     smooth: Smooth | None = smooth_key()
     crumbs: Crumbs = crumbs_key("the volume, too narrow for a bead,")
     holes: Annotated[float, Quantity("mm", 0, 10_000)] | None = key(

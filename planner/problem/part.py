@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, model_validator
 
-from planner.problem.fields import PATH, Position, Quantity, Section, Vector, exactly_one, key, one_of, refusal
+from planner.problem.fields import PATH, Angles, Position, Quantity, Section, Vector, exactly_one, key, one_of, refusal
 from planner.problem.yaml_file import describe
 
 
@@ -106,7 +106,7 @@ class MeshSpec(Section):
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
-    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
+    rpy: Angles = key(
         "rpy_deg",
         "the file turned about x, then y, then z of the part frame [deg]; [90, 0, 0] where y points up",
         (0, 0, 0),
@@ -128,9 +128,7 @@ class ScanSpec(Section):
     unit: Unit | None = unit_key()
     scale: Scale = scale_key()
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
-    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
-        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
-    )
+    rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     noise: Annotated[float, Quantity("mm", 0.01, NOISIEST_MM)] = key(
         "noise_mm", "how far points may lie off the smooth surface; where one is farther, the scan is refused [mm]", 0.5
     )
@@ -174,9 +172,7 @@ class StepSpec(Section):
         "normals", "where the file's faces look: out of the material, or into it, as open sheets may", "outward"
     )
     origin: Position = key("origin_mm", "the file's origin in the part frame, once the file is turned [mm]", (0, 0, 0))
-    rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
-        "rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0)
-    )
+    rpy: Angles = key("rpy_deg", "the file turned about x, then y, then z of the part frame [deg]", (0, 0, 0))
     thickness: Annotated[float, Quantity("mm", 0, 1000)] = key(
         "thickness_mm", "of the material beneath open faces [mm]; 0: none, the sheet is printed in the air", 10
     )

@@ -15,6 +15,7 @@ from planner.problem.fields import (
     LONGEST_NAME,
     UNIQUE,
     UNIT_VECTOR,
+    Angles,
     Form,
     Position,
     Quantity,
@@ -119,9 +120,7 @@ class MachineSpec(Section):
     least: Position | None = key("least_mm", "least X, Y and Z of the machine [mm]; default: not looked at", None)
     greatest: Position | None = key("greatest_mm", "greatest X, Y and Z [mm]; default: not looked at", None)
     part: Position = key("part_mm", "origin of the part frame on the machine at zero angles [mm]", (0, 0, 0))
-    part_rpy: Annotated[Vector, Quantity("deg", -360, 360, count=3)] = key(
-        "part_rpy_deg", "roll, pitch and yaw of the part frame there [deg]", (0, 0, 0)
-    )
+    part_rpy: Angles = key("part_rpy_deg", "roll, pitch and yaw of the part frame there [deg]", (0, 0, 0))
     tcp: Truth = key(
         "tcp", "whether the controller keeps the tip on its line while axes turn (tool centre point control)", False
     )
