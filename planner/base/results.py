@@ -32,7 +32,6 @@ WRITING, REPLACED = ".beadwise-writing-", ".beadwise-replaced-"  # folders, whil
 _LEFT = ".left"  # ends the name of a folder that goes
 _JOURNAL, _OLD = "journal.json", "old"  # in the latter
 _LARGEST_MANIFEST = 10_000_000  # bytes: some 80,000 files
-_BLOCK = 1 << 20  # bytes read at once
 _TRIES = 5  # of removing a folder, into which another thread may be writing yet
 
 Tell = Callable[[str], None]
@@ -133,11 +132,8 @@ def _manifest(folder: Path) -> dict[str, Any] | None:
 
 def digest(path: Path) -> str:
     """SHA-256 of a file's content, as hexadecimal digits."""
-    found = hashlib.sha256()
     with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            found.update(block)
-    return found.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _is_entry(name: str, entry: Any) -> bool:
