@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from solved import small_plan
 
 from planner.base.arrays import Array
-from planner.cell.cell import build_cell
+from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import Obstacles
 from planner.plan import Plan
 from planner.problem import load_problem
@@ -30,7 +30,6 @@ from planner.resolve.roll_map import (
     RollMap,
     roll_map,
     roll_maps,
-    unplanned,
 )
 from planner.toolpath.task import NozzleTask
 
@@ -53,6 +52,14 @@ class Wave(Obstacles):
         assert len(now) == len(q)
         margin = self.width * (0.3 + np.sin(q[:, 5] + q[:, 6]))  # type: ignore[attr-defined]
         return np.minimum(margin, enough), np.zeros(len(q), dtype=np.int64)
+
+
+def unplanned(cell: Cell, task: NozzleTask, *chosen: float) -> JointPath:
+    """A task without a path, on any branch: the nozzle upright, the chosen joints at angles [rad], or at home."""
+    q = np.tile(cell.home, (len(task), 1))
+    if chosen:
+        q[:, list(cell.chosen)] = chosen
+    return JointPath(task, np.full(len(task), np.nan), np.zeros((len(task), 2)), q, -1)
 
 
 def small_paths() -> tuple[JointPath, ...]:
@@ -186,7 +193,7 @@ def test_any_branch_is_the_best_of_all() -> None:
 def test_a_task_without_a_path() -> None:
     plan = small_plan()
     task, angle = plan.paths[0].task, float(plan.paths[0].q[0, 6])
-    found = roll_map(plan.cell, [unplanned(plan.cell, task, [angle])], columns=5, rolls=12)
+    found = roll_map(plan.cell, [unplanned(plan.cell, task, angle)], columns=5, rolls=12)
     assert np.isnan(found.chosen).all() and found.free.any()
     held = [replace(plan.paths[0], q=np.column_stack([plan.paths[0].q[:, :6], np.full(len(task), angle)]))]
     same = roll_map(plan.cell, held, columns=5, rolls=12, any_branch=True)

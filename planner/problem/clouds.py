@@ -36,18 +36,18 @@ _UNREADABLE = (ValueError, TypeError, KeyError, IndexError, AttributeError, EOFE
                MemoryError, zipfile.BadZipFile)  # fmt: skip
 
 
-def read_cloud(path: Path, unit: str | None = None, option: str = "--unit") -> Array:
+def read_cloud(path: Path, unit: str | None = None) -> Array:
     """The points (n, 3) [m] of a file in the frame that it has; unit of CLOUD_UNITS, mm where neither it nor the file says
     one.
 
-    option: where the unit is given. Raises InputError with file and line for what cannot be read, for numbers that are not
-    finite, for too few points or too many, and for two units.
+    Raises InputError with file and line for what cannot be read, for numbers that are not finite, for too few points or too many,
+    and for two units.
     """
-    return _cloud_and_unit(path, unit, option)[0]
+    return _cloud_and_unit(path, unit, "--unit")[0]
 
 
 def _cloud_and_unit(path: Path, unit: str | None, option: str) -> tuple[Array, str | None]:
-    """As `read_cloud`, and the unit that the file itself names."""
+    """As `read_cloud`, and the unit that the file itself names; option: where the unit is given."""
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(
             f"{path.suffix or 'without an ending, it'} is no cloud's ending", file=path, hint=", ".join(SUFFIXES)

@@ -70,17 +70,6 @@ class RollMap(ReadOnlyArrays):
         return self.why == FREE
 
 
-def unplanned(cell: Cell, task: NozzleTask, chosen: Sequence[float] | None = None) -> JointPath:
-    """A task for `roll_map` without a path: the nozzle upright, the cell's chosen joints at rest at angles [rad].
-
-    chosen: one angle for each of `cell.chosen`; their home angles if not given. Its branch is -1, for any.
-    """
-    q = np.tile(cell.home, (len(task), 1))
-    if chosen is not None:
-        q[:, list(cell.chosen)] = chosen
-    return JointPath(task, np.full(len(task), np.nan), np.zeros((len(task), 2)), q, -1)
-
-
 def roll_map(
     cell: Cell,
     paths: Sequence[JointPath],
