@@ -33,6 +33,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.stream_rate import straight
 from planner.base.results import digest
 from planner.export.program import RobotProgram
 from planner.link import command
@@ -99,17 +100,8 @@ def case_of(seed: int, tls: bool) -> Case:
 
 def made_program() -> RobotProgram:
     """A straight line of moves at 0.1 m/s that sends a line after each, as the simulator's reader would give it."""
-    m = len(LINES)
-    x = 0.01 * np.arange(m)
-    identity = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    fine = np.isin(np.arange(m), (0, m - 1))
-    return RobotProgram(
-        module=MODULE, tool=identity, uframe=identity, oframe=identity, station="", start=np.zeros(12),
-        linear=np.ones(m, bool), fine=fine, position=np.column_stack([x, 0.0 * x, 0.0 * x]),
-        quat=np.tile([0.0, 0.0, 0.0, 1.0], (m, 1)), conf=np.zeros((m, 4), np.intp), external=np.full((m, 6), np.nan),
-        zone=np.where(fine, 0.0, 0.3e-3), speed=np.tile([0.1, 1.0, 1.0, 1.0], (m, 1)), wait=np.zeros(m), triggers={},
-        sends={k: (text,) for k, text in enumerate(LINES)},
-    )  # fmt: skip
+    sends = {k: (text,) for k, text in enumerate(LINES)}
+    return straight(MODULE, 0.01 * np.arange(len(LINES)), 0.1, 1.0, 1.0, 1.0, sends=sends)
 
 
 def written(folder: Path) -> Path:

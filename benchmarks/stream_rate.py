@@ -13,11 +13,13 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from planner.base.arrays import Array
 from planner.export.program import RobotProgram
 from planner.link.streaming import StreamStopped, send, stream_of
 from planner.simulate.stream import MESSAGE, StreamServer
@@ -26,23 +28,22 @@ RATES = (40, 100, 200, 400, 800)  # targets/s; real programs have 40 evenly spac
 SPEED = 0.04  # m/s
 
 
-def line(count: int, rate: float) -> RobotProgram:
-    """A straight bead at 40 mm/s of so many targets a second."""
-    x = SPEED / rate * np.arange(count)
-    identity = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    fine = np.isin(np.arange(count), (0, count - 1))
+def straight(module: str, x: Array, *speed: float, **more: Any) -> RobotProgram:
+    """Lines along x to places x (m) [m], as a reader would give them, with stops at the first and the last."""
+    m, identity = len(x), np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    fine = np.isin(np.arange(m), (0, m - 1))
     return RobotProgram(
-        module="Rate", tool=identity, uframe=identity, oframe=identity, station="", start=np.zeros(12),
-        linear=np.ones(count, bool), fine=fine, position=np.column_stack([x, 0.0 * x, 0.0 * x]),
-        quat=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)), conf=np.zeros((count, 4), np.intp),
-        external=np.full((count, 6), np.nan), zone=np.where(fine, 0.0, 0.3e-3),
-        speed=np.tile([SPEED, 10.0, 10.0, 10.0], (count, 1)), wait=np.zeros(count), triggers={},
+        module=module, tool=identity, uframe=identity, oframe=identity, station="", start=np.zeros(12),
+        linear=np.ones(m, bool), fine=fine, position=np.column_stack([x, 0.0 * x, 0.0 * x]),
+        quat=np.tile([0.0, 0.0, 0.0, 1.0], (m, 1)), conf=np.zeros((m, 4), np.intp), external=np.full((m, 6), np.nan),
+        zone=np.where(fine, 0.0, 0.3e-3), speed=np.tile(speed, (m, 1)), wait=np.zeros(m), triggers={}, **more,
     )  # fmt: skip
 
 
 def kept(rate: float, seconds: float, reading: float, at_most: int) -> tuple[float, int, str]:
     """Targets a second that were kept up, waits within the bead, and what ended it, if anything did."""
-    stream = stream_of(line(round(rate * seconds), rate))
+    x = SPEED / rate * np.arange(round(rate * seconds))
+    stream = stream_of(straight("Rate", x, SPEED, 10.0, 10.0, 10.0))
     with closing(StreamServer("127.0.0.1", 0, reading=reading, at_most=at_most)) as server:
         since = time.monotonic()
         reason = ""
