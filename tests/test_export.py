@@ -305,6 +305,8 @@ def test_module_names():
     assert module_name("cylinder_logo") == "CylinderLogo"
     assert module_name("test") == "PrintTest"  # TEST is a statement of RAPID
     assert module_name("main") == "PrintMain"
+    assert module_name("home_1") == "PrintHome1"  # a procedure of programs with several nozzles
+    assert module_name("fine") == "PrintFine"
     assert module_name("pose") == "PrintPose"  # a type of RAPID
     assert module_name("3d_part") == "Print3dPart"
     assert len(module_name("a_very_long_name_" * 5)) == 32

@@ -22,7 +22,7 @@ from planner.collision.print_body import tip_slack
 from planner.collision.scene import HEAD, collision_bodies, obstacles_of
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast, joined
-from planner.export.languages import LANGUAGES
+from planner.export.languages import LANGUAGES, check_languages
 from planner.export.plan_json import plan_json
 from planner.export.rapid.reader import read_rapid_files
 from planner.plan import TRAVEL, Plan, Trajectory
@@ -111,6 +111,24 @@ def test_what_does_not_fit_together_is_told(changes: tuple[tuple[str, str], ...]
         problem_of(*changes)
     assert words in str(caught.value)
     assert str(caught.value.field).startswith(field)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ((("tPva: {tip", "fine: {tip"), ("nozzle: tPva", "nozzle: fine")), "cell.nozzles.fine"),
+        ((("tPva: {tip", "Change1: {tip"), ("nozzle: tPva", "nozzle: Change1")), "cell.nozzles.Change1"),
+        ((("{nozzle: tPva}", "{nozzle: tPva, extruder_signal: z10}"),), "process.materials.pva.extruder_signal"),
+    ],
+)
+def test_names_that_rapid_has_for_something_else_are_told(changes: tuple[tuple[str, str], ...], field: str) -> None:
+    problem = problem_of(*TWO, *changes)
+    cell = build_cell(problem)
+    with pytest.raises(InputError, match="may be a name of the program's own") as caught:
+        check_languages(problem, cell)
+    assert str(caught.value.field).startswith(field)
+    elsewhere = ("strategy: ladder", "strategy: ladder\nprogram:\n  languages: [joint_trajectory]")
+    check_languages(problem_of(*TWO, *changes, elsewhere), cell)
 
 
 def test_a_nozzle_may_be_called_as_the_one_tool_that_there_is_not() -> None:

@@ -12,6 +12,7 @@ from planner.export.program import ProblemSetup, RobotProgram, Setup
 from planner.export.support import (
     VAL3_OUTPUTS,
     arm_alone,
+    check_rapid_names,
     unsupported_in_axes,
     unsupported_in_joint_trajectory,
     unsupported_in_krl,
@@ -162,5 +163,7 @@ def _usual(setup: Setup) -> Chosen:
 
 
 def check_languages(problem: Problem, cell: Cell) -> None:
-    """Raise InputError for a language that was asked for and does not support the cell, before anything is planned."""
-    chosen(ProblemSetup(problem, cell))
+    """Raise InputError for a language that was asked for and does not support the cell, and for a name of the problem's
+    that a program must not have, before anything is planned."""
+    if "rapid" in chosen(ProblemSetup(problem, cell)).names:
+        check_rapid_names(problem)

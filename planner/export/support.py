@@ -9,6 +9,8 @@ from planner.export.axes.flavours import FLAVOURS
 from planner.export.external import external_axes, moving_unit
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
+from planner.problem.fields import LONGEST_NAME
+from planner.problem.settings import OWN_NAMES
 
 if TYPE_CHECKING:
     from planner.cell.robot import Robot
@@ -87,6 +89,16 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
     if len(external_axes(setup.cell)) > RAPID_EXTERNAL_AXES:
         return f"what carries the arm and the part has more axes than RAPID's {RAPID_EXTERNAL_AXES} external ones"
     return None
+
+
+def check_rapid_names(problem: Problem) -> None:
+    """Raise the InputError of a name of the problem's that stands for something else in RAPID."""
+    names = {f"cell.nozzles.{name}": name for name in problem.cell.nozzles}
+    names |= {f"process.materials.{each.name}.extruder_signal": each.signal for each in materials_of(problem)}
+    for field, name in names.items():
+        if OWN_NAMES.fullmatch(name) or name.upper() in ARMS:
+            reason = f"{name!r} may be a name of the program's own, or of the controller's"
+            raise problem.error(field, reason, f"for example my_{name}"[:LONGEST_NAME])
 
 
 def _unsupported_in_multimove(setup: Setup, second: Robot) -> str | None:

@@ -69,9 +69,10 @@ FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for
 POSITIONER, ARMS = "STN1", ("ROB_1", "ROB_2")
 SECOND_ARM = ARMS[1]
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
-# names that the program gives itself: procedures, speeds, triggers, and what serves the socket; and ABB's own data
-_OWN_NAMES = re.compile(
-    r"(main|start|finish|bead\d+(part\d+)?|vel\d\w*|trg\w*|bw\w*|(tool|wobj|load)0|fine|[vz]\d+)", re.IGNORECASE
+# names that a program gives itself: procedures, speeds, triggers, its zone, what serves the socket; and ABB's own data
+OWN_NAMES = re.compile(
+    r"(main|(start|finish|(home|change|bead)\d+)(part\d+)?|vel\d\w*|(trg|bw)\w*|zon0_1|(tool|wobj|load)0|fine|[vz]\d+)",
+    re.IGNORECASE,
 )
 
 
@@ -400,7 +401,7 @@ class ProgramSpec(Section):
                 raise refusal(
                     f"{name!r} names both {first} and {field}", "give each its own name", fields=[first, field]
                 )
-            if _OWN_NAMES.fullmatch(name) or (field != "station" and name.upper() in ARMS):
+            if OWN_NAMES.fullmatch(name) or (field != "station" and name.upper() in ARMS):
                 reason = f"{name!r} may be a name of the program's own, or of the controller's"
                 raise refusal(reason, f"for example my_{name}"[:LONGEST_NAME], fields=[field])
         return self

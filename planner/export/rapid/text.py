@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planner.export.text import ascii_comment
+from planner.problem.settings import OWN_NAMES
 
 # ----------------------------------------------------------------------------------------------------
 # Names and comments.
@@ -38,8 +39,9 @@ def module_name(name: str, longest: int = LONGEST_NAME) -> str:
     words = re.findall(r"[A-Za-z0-9]+", name)
     joined = "".join(word[0].upper() + word[1:] for word in words)
     # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
-    taken = joined.upper() in f"{RESERVED} {PREDEFINED}".split() or re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
-    whole = "Print" + joined if taken or not joined[:1].isalpha() else joined
+    taken = joined.upper() in f"{RESERVED} {PREDEFINED}".split() or OWN_NAMES.fullmatch(joined)
+    similar = re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
+    whole = "Print" + joined if taken or similar or not joined[:1].isalpha() else joined
     resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
     tail = resumed[0] if resumed else ""
     return whole[: longest - len(tail)] + tail if len(whole) > longest else whole
