@@ -324,6 +324,13 @@ def test_ranges_decide_the_way() -> None:
 # --- what is written
 
 
+def test_the_file_has_another_name_than_the_extruders() -> None:
+    plan = written_with(make_plan(), machine=spec("trunnion"))
+    for name, file in (("Extrusion", "print_Extrusion.gcode"), ("extrusions", "extrusions.gcode")):
+        named = SimpleNamespace(**vars(plan.problem) | {"name": name})
+        assert file_name(replace(plan, problem=named)) == file  # type: ignore[arg-type]
+
+
 def replayed(name: str, plan: Plan, text: str) -> tuple[Array, Array, Array, Array]:
     """Tips, directions, times and filament of all moves at 7 places each, by a reader of the test's own."""
     machine, machine_spec = machine_of(spec(name)), spec(name)

@@ -17,7 +17,7 @@ from planner.export.axes.arcs import centre_and_swept, via_point, with_arcs
 from planner.export.axes.flavours import FLAVOURS, Flavour, arcs_said, feed_length
 from planner.export.axes.machine import FiveAxes, Followed, Machine, PoseMachine, above, follow, machine_of, spec_of
 from planner.export.board import select
-from planner.export.extruder import Order, order_differences, orders
+from planner.export.extruder import FILE, Order, order_differences, orders
 from planner.export.fit import by_samples, continuous, lerp, thin
 from planner.export.grammar import Grammar, Statement
 from planner.export.moves import ANGLE_TOLERANCE, ON_TIME, ROUNDING, nearest_fraction
@@ -104,8 +104,9 @@ FAST = 60.0  # s per minute
 
 
 def file_name(plan: Plan) -> str:
-    """Name of the file."""
-    return f"{plan.name}.{FLAVOURS[spec_of(plan).flavour].suffix}"
+    """Name of the file, another one than the extruder's."""
+    name = f"{plan.name}.{FLAVOURS[spec_of(plan).flavour].suffix}"
+    return f"print_{name}" if name.lower() == FILE else name
 
 
 def axes_gcode(plan: Plan) -> str:
