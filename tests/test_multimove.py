@@ -22,7 +22,7 @@ from planner.export.plan_json import plan_json
 from planner.export.player.play import limited, play
 from planner.export.player.played import laid_spans
 from planner.export.program import ProblemSetup, RobotProgram
-from planner.export.rapid.multimove import TASKS
+from planner.export.rapid.multimove import TASKS, second_name
 from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.feedback.identify_program import language_of
 from planner.link.connections import Address, LinkError, Secret
@@ -138,6 +138,11 @@ def test_the_nozzle_s_arm_may_be_either_of_both() -> None:
     assert "TwoArms_Rob1.mod" in files and '"ROB_1"' in files["TwoArms.mod"]
     assert "TwoArms.mod in task T_ROB2 and TwoArms_Rob1.mod in T_ROB1" in files["TwoArms.mod"]
     assert tuple(TASKS) == ARMS
+
+
+def test_the_second_arm_s_module_of_a_rest_keeps_the_bead_that_it_begins_with() -> None:
+    assert second_name("TwoArmsFrom12", "ROB_2") == "TwoArmsFrom12_Rob2"
+    assert second_name("TurbineBladeSupportLeftFrom12", "ROB_1") == "TurbineBladeSupportLeFrom12_Rob1"
 
 
 # ---- played ------------------------------------------------------------------------------------------------------

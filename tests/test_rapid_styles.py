@@ -140,6 +140,9 @@ def test_modules_end_where_the_robot_rests():
     assert [p.rests for m in batches[1] for p in m.procedures] == [False, False, True]
     assert not any("fine" in step[0] for m in batches[1][:-1] for p in m.procedures for step in p.steps)
     assert {len(m.name) for batch in batches for m in batch} == {32}
+    # a rest keeps the bead that it begins with
+    (batch,) = batches_of("AVeryLongNameOfAPrintThatFrom123", [procedure("A", 10, True)], 100)
+    assert batch[0].name == "AVeryLongNameOfAPrintThFrom123_1"
 
 
 @pytest.mark.parametrize(

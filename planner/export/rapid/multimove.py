@@ -18,6 +18,7 @@ from planner.base.arrays import Array
 from planner.export.external import carrying_axes, external_written, moving_unit
 from planner.export.fit import angle, from_matrix
 from planner.export.moves import Moves
+from planner.export.parts import numbered
 from planner.export.rapid.declarations import (
     TOOL_LOAD,
     external_text,
@@ -66,8 +67,7 @@ def identity(move: int) -> str:
 
 def second_name(name: str, unit: str) -> str:
     """Name of the module that moves the part by a mechanical unit, from that of the module that moves the nozzle."""
-    ending = "_" + unit.title().replace("_", "")
-    return name[: LONGEST_NAME - len(ending)] + ending
+    return numbered(name, ARMS.index(unit) + 1, LONGEST_NAME, "_Rob")
 
 
 def second_module(plan: Plan) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.export.parts import numbered
 from planner.export.text import ascii_comment
 from planner.problem.settings import OWN_NAMES
 
@@ -162,15 +163,9 @@ def batches_of(name: str, procedures: Sequence[Procedure], most: int) -> tuple[B
     out, count = [], 0
     for group in groups:
         group[-1][-1] = group[-1][-1].resting()
-        out.append(tuple(Loaded(_named(name, count + k), tuple(own)) for k, own in enumerate(group, 1)))
+        out.append(tuple(Loaded(numbered(name, count + k, LONGEST_NAME), tuple(own)) for k, own in enumerate(group, 1)))
         count += len(group)
     return tuple(out)
-
-
-def _named(name: str, k: int) -> str:
-    """Name of the k-th module, and of its file."""
-    ending = f"_{k}"
-    return name[: LONGEST_NAME - len(ending)] + ending
 
 
 def unloading(batches: Sequence[Batch]) -> list[str]:
