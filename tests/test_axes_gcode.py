@@ -609,6 +609,19 @@ def test_turning_beyond_a_range_is_found() -> None:
     assert axes_differences(low, text) == ["Z goes beyond its limits"]
 
 
+def test_the_way_to_the_first_place_goes_no_higher_than_the_machine() -> None:
+    plan = written_with(make_plan(beads=1, length=0.008, dip=False), machine=spec("trunnion"))
+    text = axes_gcode(plan)
+    lifted = re.search(r"^G0 Z(\S+)$", text, re.MULTILINE)
+    assert lifted is not None
+    most = float(lifted[1]) - 2.0  # and the motion itself ends 5 mm below
+    low = written_with(plan, machine=spec("trunnion", greatest_mm=(500, 500, most)))
+    lower = axes_gcode(low)
+    assert f"\nG0 Z{most:.4f}\n" in lower
+    found = [axes_differences(low, each) for each in (lower, text)]
+    assert ["Z goes beyond its limits" in each for each in found] == [False, True]
+
+
 @pytest.mark.parametrize(
     ("name", "changes", "says"),
     [

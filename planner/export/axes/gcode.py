@@ -188,7 +188,9 @@ def _start_lines(plan: Plan, spec: MachineSpec, flavour: Flavour, motion: Follow
     lines += [spec.tcp_on] if spec.tcp else []
     first = dict(zip(letters_of(plan, motion), _rows(motion, np.array([0]))[0].tolist(), strict=True))
     if isinstance(motion.machine, FiveAxes):
-        high = (float(motion.straight[:, 2].max()) + plan.problem.process.lift) * 1e3
+        # with tcp Z is the tip's, of which the machine's limits say nothing
+        most = np.inf if spec.tcp else float(motion.machine.greatest[2])
+        high = min(float(motion.straight[:, 2].max()) + plan.problem.process.lift, most) * 1e3
         across = " ".join(f"{name}{number(value, DECIMALS)}" for name, value in first.items() if name != "Z")
         lines += [f"G0 Z{number(high, DECIMALS)}", f"G0 {across}", f"G0 Z{number(first['Z'], DECIMALS)}"]
     else:
@@ -313,6 +315,7 @@ class AxesProgram:
     filament            (m)  pushed so far [m]
     time                (m)  since the first place [s]; two places are the same where the machine pauses
     via                 (m, 3) X Y Z on the way of the arc that ends at each place, NaN for lines
+    highest             greatest Z on the way to the first place
     orders              (time, line) of all that is no motion
     """
 
@@ -321,6 +324,7 @@ class AxesProgram:
     filament: Array
     time: Array
     via: Array
+    highest: float
     orders: tuple[tuple[float, str], ...]
 
 
@@ -337,7 +341,7 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | 
     if mode not in lines:
         raise InputError(f"{mode} is missing", file=GRAMMAR.file)
     start = lines.index(mode)
-    place = _read_start(lines[:start], spec, letters, _selected(spec, tool))
+    place, highest = _read_start(lines[:start], spec, letters, _selected(spec, tool))
     flavour = FLAVOURS[spec.flavour]
     end = [*(["G94"] if spec.feed == "inverse_time" else []), *([spec.tcp_off] if spec.tcp else []), *flavour.end]
     if lines[-len(end) :] != end:
@@ -380,6 +384,7 @@ def read_axes(text: str, spec: MachineSpec, letters: Sequence[str], tool: int | 
         filament=np.array(filament) * 1e-3,
         time=np.array(time),
         via=np.array(vias) * 1e-3,
+        highest=highest * 1e-3,
         orders=tuple(ordered),
     )
 
@@ -404,13 +409,14 @@ def _arc(
 
 def _read_start(
     lines: Sequence[str], spec: MachineSpec, letters: Sequence[str], selected: Sequence[str]
-) -> dict[str, float]:
-    """Where the modes and the way to the first place leave the machine, by letter."""
+) -> tuple[dict[str, float], float]:
+    """Where the modes and the way to the first place leave the machine, by letter, and the greatest Z on that way."""
     must = [*FLAVOURS[spec.flavour].begin, *selected]
     if spec.flavour == "linuxcnc":
         must.append(f"G92 {spec.filament}0")
     must += [spec.tcp_on] if spec.tcp else []
     place: dict[str, float] = {}
+    highest = -np.inf
     for n, line in enumerate(lines, 1):
         if line in must and not place:
             must.remove(line)
@@ -422,10 +428,11 @@ def _read_start(
             if not words.keys() <= set(letters):
                 raise GRAMMAR.unknown(line, n)
             place |= words
+            highest = max(highest, words.get("Z", highest))
     if must or set(place) != set(letters):
         missing = ", ".join([*must, *(name for name in letters if name not in place)])
         raise InputError(f"{missing} is missing before the first move", file=GRAMMAR.file, line=len(lines) + 1)
-    return {name: place[name] for name in letters}
+    return {name: place[name] for name in letters}, highest
 
 
 def _words(statement: Statement, motions: str) -> dict[str, float]:
@@ -540,6 +547,8 @@ def _beyond_reach(machine: Machine, program: AxesProgram) -> list[str]:
             found.append(f"{letter} turns beyond its range")
     if isinstance(machine, FiveAxes):
         slides = machine.slides(machine.tip(program.straight, program.turning), program.turning)
+        if not machine.tcp:  # Z is the machine's own
+            slides = np.vstack([slides, [*slides[0, :2], program.highest]])
         inside = (slides >= machine.least - ROUNDED) & (slides <= machine.greatest + ROUNDED)
         for name, ok in zip("XYZ", inside.T, strict=True):
             found += [] if ok.all() else [f"{name} goes beyond its limits"]
