@@ -30,7 +30,7 @@ from planner.export.fit import from_matrix
 from planner.export.languages import check_languages
 from planner.export.support import unsupported_in_axes
 from planner.export.write import write_robot_code
-from planner.plan import Plan
+from planner.plan import Event, Plan
 from planner.problem import load_problem
 from planner.problem.process import StartSpec
 from planner.problem.settings import MachineSpec
@@ -428,6 +428,14 @@ def test_the_header_says_what_is_purged_above_the_first_bead(name: str, noted: b
     process = plan.problem.process.model_copy(update={"start": StartSpec(purge_mm=30)})
     text = axes_gcode(replace(plan, problem=SimpleNamespace(**vars(plan.problem) | {"process": process})))
     assert ("; Note: 30 mm of filament are purged where the machine waits at first" in text) == noted
+
+
+def test_a_long_note_of_a_pause_is_cut() -> None:
+    plan = written_with(make_plan(beads=1, length=0.008, dip=False), machine=spec("trunnion"))
+    pause = Event("pause", 0, 0.0, 0.0, 0.0, note="put in the nut, " * 60)
+    text = axes_gcode(replace(plan, trajectory=replace(plan.trajectory, events=(pause,))))
+    assert "\n; pause: put in the nut, put" in text
+    read_axes(text, spec("trunnion"), ("X", "Y", "Z", "A", "C"))
 
 
 def test_modes_come_first_and_a_program_says_what_it_is_for() -> None:

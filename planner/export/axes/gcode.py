@@ -101,6 +101,7 @@ FILAMENT_DECIMALS = 5  # mm
 LEAST_PAUSE = 1e-3  # s
 SHORTEST = 1e-5  # s of a move: near a direction that leaves an axis free it may turn as far as it can in no time
 FAST = 60.0  # s per minute
+LONGEST_COMMENT = 150
 
 
 def file_name(plan: Plan) -> str:
@@ -168,7 +169,7 @@ def _header(plan: Plan, motion: Followed, targets: int) -> list[str]:
         frame = "on the turning part" if len(cell.holder) else "in the part frame"
         texts += [f"X Y Z A B C are the nozzle's pose {frame}: A, B, C are roll, pitch and yaw, yaw last"]
         texts += held_by(cell)
-    return [ascii_comment(";", text, longest=150) for text in texts]
+    return [ascii_comment(";", text, longest=LONGEST_COMMENT) for text in texts]
 
 
 def _fastest(motion: Followed) -> str:
@@ -274,7 +275,7 @@ def feed_word(rate: float) -> str:
 
 def _order(flavour: Flavour, order: Order) -> tuple[list[str], float]:
     """Lines of an order for this controller, and how long its pauses take [s]; ValueError where it has no such line."""
-    lines = [f"; {order.words}"]
+    lines = [ascii_comment(";", order.words, longest=LONGEST_COMMENT)]
     for line in order.lines:
         if line.startswith(";"):
             continue
