@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from export_fixtures import make_plan
-from solved import line_of, write_small
+from solved import line_of, small_problem, write_small
 
 from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
@@ -140,6 +140,15 @@ def test_what_cannot_be_said_is_refused_before_anything_is_planned(
     assert main([str(path), "--quiet", "--out", str(tmp_path / "out")]) == 2
     assert "program.languages: rapid cannot say this: " in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("key", ["tool", "work_object"])
+def test_what_is_called_as_the_module_is_refused_before_anything_is_planned(key: str) -> None:
+    problem = load_problem(small_problem().file, [f"program.{key}=sMall"])
+    with pytest.raises(InputError, match=rf"program\.{key}.*the name of the module, too"):
+        check_languages(problem, build_cell(problem))
+    elsewhere = load_problem(small_problem().file, [f"program.{key}=sMall", "program.languages=[joint_trajectory]"])
+    check_languages(elsewhere, build_cell(elsewhere))
 
 
 @pytest.mark.parametrize(

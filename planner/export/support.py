@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from planner.export.axes.flavours import FLAVOURS
 from planner.export.external import external_axes, moving_unit
+from planner.export.rapid.text import module_name
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
 from planner.problem.fields import LONGEST_NAME
@@ -93,12 +94,17 @@ def unsupported_in_rapid(setup: Setup) -> str | None:
 
 def check_rapid_names(problem: Problem) -> None:
     """Raise the InputError of a name of the problem's that stands for something else in RAPID."""
-    names = {f"cell.nozzles.{name}": name for name in problem.cell.nozzles}
-    names |= {f"process.materials.{each.name}.extruder_signal": each.signal for each in materials_of(problem)}
-    for field, name in names.items():
+    nozzles = {f"cell.nozzles.{name}": name for name in problem.cell.nozzles}
+    outputs = {f"process.materials.{each.name}.extruder_signal": each.signal for each in materials_of(problem)}
+    for field, name in (nozzles | outputs).items():
         if OWN_NAMES.fullmatch(name) or name.upper() in ARMS:
             reason = f"{name!r} may be a name of the program's own, or of the controller's"
             raise problem.error(field, reason, f"for example my_{name}"[:LONGEST_NAME])
+    tools = nozzles or {"program.tool": problem.program.tool}
+    for field, name in {**tools, "program.work_object": problem.program.work_object}.items():
+        if name.lower() == module_name(problem.name).lower():
+            reason = f"{name!r} is the name of the module, too, which is called as the problem is"
+            raise problem.error(field, reason, "give another name")
 
 
 def _unsupported_in_multimove(setup: Setup, second: Robot) -> str | None:
