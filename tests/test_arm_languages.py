@@ -24,7 +24,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.export.arms import Convention
 from planner.export.fanuc import FANUC
-from planner.export.inform import YASKAWA
+from planner.export.inform import FRAME, YASKAWA, frame_comments
 from planner.export.kawasaki import KAWASAKI
 from planner.export.languages import LANGUAGES
 from planner.export.melfa import MITSUBISHI
@@ -204,8 +204,11 @@ def said(language: str, files: Files) -> tuple[list[tuple[float, ...]], list[tup
         split = re.split("/{3}POSTYPE (?=USER|ANGLE)", text)
         poses = [each for part in split if part.startswith("USER") for each in numbers(r"C\d+=.*", part)]
         axes = [each for part in split if part.startswith("ANGLE") for each in numbers(r"C\d+=.*", part)]
-        frames = {m[1]: tuple(map(float, m[2].split())) for m in re.finditer(r"^'(\w+) (-?\d.*)$", text, re.MULTILINE)}
-        tool, part = (matrix(frames[name] + frames[f"{name}R"], "xyz") for name in ("TOOL1", "USER1"))
+        frames = {m[1]: float(m[2]) for m in re.finditer(r"^'(\w+ R?[XYZ]) (-?\d+\.\d+)$", text, re.MULTILINE)}
+        tool, part = (
+            matrix(tuple(frames[f"{name} {axis}"] for axis in ("X", "Y", "Z", "RX", "RY", "RZ")), "xyz")
+            for name in ("TOOL1", "USER1")
+        )
     elif language == "val3":
         (tool,), (part,) = (
             [matrix(v, "XYZ") for v in numbers(rf'x=.*fatherId="{father}\[0\]"', text)]
@@ -340,7 +343,14 @@ def test_lines_are_ascii_and_bounded(language: str) -> None:
     for text in module(language).write(replace(arc(), strategy="ladder ü" + "x" * 300)).values():
         assert text.isascii() and all(len(line) <= 170 for line in text.split("\n"))
         remarks = re.findall(r"^ *\d+:  !(.*) ;$", text, re.MULTILINE) + re.findall(r"^'(.*)$", text, re.MULTILINE)
-        assert all(len(remark) <= 40 for remark in remarks)
+        assert all(len(remark) <= 32 for remark in remarks)
+
+
+def test_each_number_of_a_frame_has_a_comment_that_is_short_enough() -> None:
+    T = matrix((1234.567, -1234.567, -1000.0, -179.1234, -45.1234, -120.0), "xyz")
+    lines = frame_comments("TOOL1", T)
+    assert [line.split(" ")[1] for line in lines] == list(FRAME) and max(map(len, lines)) <= 32
+    assert lines[0] == "'TOOL1 X 1234.567" and lines[3] == "'TOOL1 RX -179.1234"
 
 
 # ---- what cannot be said ------------------------------------------------------------------------------------------
@@ -418,7 +428,7 @@ TAMPERED: dict[str, list[Tampering]] = {
         (".JBI", r"ANGLE\n(?:C.*\n){6}", more(0.01, -4), 1, "axes differ"),
         (".JBI", r"RCONF 0", to("0", "1"), 0, "RCONF"),
         (".JBI", r"'TOOL1 .*", more(0.1), 0, "frames"),
-        (".JBI", r"'USER1R .*", more(0.5, 1), 0, "a"),
+        (".JBI", r"'USER1 RY .*", more(0.5), 0, "a"),
         (".JBI", r"MOVL .* V=.*", more(5.0), 4, "speeds of lines"),
         (".JBI", r"MOVJ .* VJ=.*", more(5.0), 4, "speeds of axes"),
         (".JBI", r"MOVL .*\d\n", lambda m: m[0][:-1] + " PL=0\n", 4, "stops"),

@@ -78,6 +78,7 @@ LONGEST_NAME = 24  # of 32 characters
 LONGEST_COMMENT = 31
 MOST_MOVES = 2000  # of a job; an editor has to show them, and jobs are said to end at 10,000 lines
 TOOL, USER = 1, 1
+FRAME = ("X", "Y", "Z", "RX", "RY", "RZ")
 MM, DEGREES = 3, 4  # decimals
 SPEED = 1  # decimals of mm/s
 TICK = 0.01  # s: what waits are written to
@@ -160,12 +161,18 @@ def _header(plan: Plan) -> list[str]:
         "V is in mm/s",
         f"Set before: load, TOOL {TOOL} and USER {USER} as follows",
     ]
-    frames = []
-    for what, T in ((f"TOOL{TOOL}", YASKAWA.tool(plan.cell)), (f"USER{USER}", YASKAWA.part(plan.cell))):
-        r = written(fixed_xyz(T[None, :3, :3])[0], DEGREES)
-        frames.append(f"'{what} " + " ".join(number(value, MM) for value in T[:3, 3] * 1e3))
-        frames.append(f"'{what}R " + " ".join(number(value, DEGREES) for value in r))
+    frames = [
+        *frame_comments(f"TOOL{TOOL}", YASKAWA.tool(plan.cell)),
+        *frame_comments(f"USER{USER}", YASKAWA.part(plan.cell)),
+    ]
     return [*(line for text in texts for line in _comments(text)), *frames]
+
+
+def frame_comments(what: str, T: Array) -> list[str]:
+    """A frame (4, 4) as it is entered at the controller, a number in each line: a comment is too short for three."""
+    values = [*(T[:3, 3] * 1e3), *written(fixed_xyz(T[None, :3, :3])[0], DEGREES)]
+    decimals = [MM] * 3 + [DEGREES] * 3
+    return [f"'{what} {axis} {number(value, d)}" for axis, value, d in zip(FRAME, values, decimals, strict=True)]
 
 
 def _rests(moves: Moves, i: int) -> list[str]:
@@ -256,7 +263,7 @@ JOB = Grammar.of(
         "output": r"DOUT OT#\(([0-9]{1,4})\) (ON|OFF)",
         "wait": rf"TIMER T=({NUMBER})",
         "call": rf"CALL JOB:({NAME})",
-        "frame": rf"'(TOOL|USER){TOOL}(R?) ({NUMBER}) ({NUMBER}) ({NUMBER})",
+        "frame": rf"'(TOOL|USER){TOOL} (R?[XYZ]) ({NUMBER})",
     },
 )
 
@@ -273,7 +280,7 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
     if main not in bodies:
         raise InputError(f"there is no job {main}", file=JOB.file)
     steps, said = ProgramSteps(), []
-    frames: dict[str, list[float]] = {}
+    frames: dict[str, float] = {}
     for statement in inlined(bodies, main, "job"):
         word, parts = statement.word, statement.parts
         if word in ("line", "point"):
@@ -294,10 +301,10 @@ def read_inform(files: Mapping[str, str], main: str, plan: Plan) -> tuple[ArmPro
         elif steps.moves or parts[0] + parts[1] in frames:
             raise statement.misplaced("behind the first move, or twice")
         else:
-            frames[parts[0] + parts[1]] = [float(value) for value in parts[2:]]
-    if set(frames) != {"TOOL", "TOOLR", "USER", "USERR"}:
+            frames[parts[0] + parts[1]] = float(parts[2])
+    if set(frames) != {what + axis for what in ("TOOL", "USER") for axis in FRAME}:
         raise InputError("no tool or user frame is told", file=JOB.file)
-    tool, part = (read_pose([*frames[name], *frames[f"{name}R"]], from_fixed_xyz) for name in ("TOOL", "USER"))
+    tool, part = (read_pose([frames[what + axis] for axis in FRAME], from_fixed_xyz) for what in ("TOOL", "USER"))
     return read_arm(main, steps, tool, part, forward_of(plan.cell, YASKAWA), JOB.file), said
 
 
