@@ -290,7 +290,7 @@ def test_rests_in_a_bead_are_kept(language: str) -> None:
     pattern = {
         "fanuc": r"FINE DB    0.0mm,DO\[1\]=OFF ;\n *\d+:  !cut, bead 0 ;\n *\d+:  WAIT   0.50\(sec\) ;",
         "inform": r"PL=0\nDOUT OT#\(1\) OFF\n' cut, bead 0\nTIMER T=0.50\n",
-        "val3": r"  nAt\[\d+\]=move[lc]\(.*\)\n  // cut, bead 0\n  waitEndMove\(\)\n  delay\(0.500\)\n",
+        "val3": r"  nAt1\[\d+\]=move[lc]\(.*\)\n  // cut, bead 0\n  waitEndMove\(\)\n  delay\(0.500\)\n",
         "kawasaki": r"  BREAK\n  SIGNAL -1\n  ; cut, bead 0\n  TWAIT 0.500\n",
         "melfa": r" Cnt 0\n\d+ M_Out\(1\)=0\n\d+ ' cut, bead 0\n\d+ Dly 0.500\n",
     }[language]
@@ -328,6 +328,20 @@ def test_a_longer_program_is_programs_that_are_called(language: str, monkeypatch
         if set(gone) <= set(files):
             with pytest.raises(InputError):
                 differences(language, {name: text for name, text in files.items() if name not in gone})
+
+
+def test_more_switches_than_an_array_holds_are_in_several(monkeypatch: pytest.MonkeyPatch) -> None:
+    val3 = module("val3")
+    monkeypatch.setattr(val3, "MOST_SWITCHES", 3)
+    files: Files = val3.write(arc())
+    sizes = re.findall(r'name="(nAt|nOut|bOn)(\d)" .* size="(\d)"', files["TwoBeads.dtx"])
+    assert sizes == [(name, k, size) for k, size in (("1", "3"), ("2", "1")) for name in ("nAt", "nOut", "bOn")]
+    assert "nAt2[0]=move" in files["part1.pgx"] and differences("val3", files) == []
+    with pytest.raises(InputError, match="other switches than the tables"):
+        differences("val3", files | {"part1.pgx": files["part1.pgx"].replace("nAt2[0]", "nAt1[3]")})
+    monkeypatch.setattr(val3, "MOST_ELEMENTS", 20)
+    with pytest.raises(InputError, match="has more than 20 elements"):
+        differences("val3", files)
 
 
 @pytest.mark.slow(keep=2)
@@ -450,7 +464,7 @@ TAMPERED: dict[str, list[Tampering]] = {
         (".dtx", r'leave="[^/]*/>', lambda m: re.sub(r'"[\d.]+"', '"9.000"', m[0]), 9, "middle of a line"),
         (".dtx", r'value="true"', to("true", "false"), 0, "path"),
         (".dtx", r'type="num" size="4">\n.*value="0"', to('value="0"', 'value="1"'), 0, "there is no output"),
-        ("part1.pgx", r"nAt\[(\d)\]=(move.*)\n(.*)(move.*)", lambda m: f"{m[2]}\n  nAt[{m[1]}]={m[4]}", 0, "event"),
+        ("part1.pgx", r"nAt1\[(\d)\]=(move.*)\n(.*)(move.*)", lambda m: f"{m[2]}\n  nAt1[{m[1]}]={m[4]}", 0, "event"),
     ],
     "melfa": [
         ("_1.prg", r"P1=.*", more(2.0), 0, ""),
@@ -539,14 +553,14 @@ def test_a_program_that_says_something_else_is_found(
         ("val3", "part1.pgx", "movel(pPath1[", "movel(pPath1[9", "there is no element"),
         ("val3", "part1.pgx", "begin", "start", "no complete program"),
         ("val3", "start.pgx", '  taskKill("extruder")\n', "", "does not run from before"),
-        ("val3", "start.pgx", "nAt[nSwitch]=-1", "nAt[nSwitch]=0", "not forgotten"),
+        ("val3", "start.pgx", "nAt1[nSwitch]=-1", "nAt1[nSwitch]=0", "not forgotten"),
         ("val3", "start.pgx", "  waitEndMove()\n", "", "before the arm has come to rest"),
         ("val3", "extruder.pgx", ">=nAt", ">nAt", "not the program that belongs"),
         ("val3", ".pjx", "part1", "part2", "no whole application"),
         ("val3", ".dtx", 'key="3"', 'key="4"', "out of its order"),
         ("val3", ".dtx", 'size="1"', 'size="2"', "has not the size"),
         ("val3", ".dtx", 'shoulder="ssame"', 'shoulder="lefty"', "unknown statement"),
-        ("val3", ".dtx", 'name="nAt"', 'name="nAr"', "data are missing"),
+        ("val3", ".dtx", 'name="nAt1"', 'name="nAr1"', "data are missing"),
         ("melfa", "_1.prg", "Mvs P", "Mva P", "unknown statement"),
         ("melfa", "_1.prg", "\n5 ", "\n6 ", "number in order"),
         ("melfa", "_1.prg", " End\n", " Cnt 0\n", "without its number"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -53,7 +54,9 @@ STAUBLI = Convention(
 # the posture of the joint move before them (ssame, esame, wsame). mdesc have speed and blend of a move; equal ones are one.
 
 LONGEST_NAME = 15  # of VAL3 before s7; later ones take more
-MOST_MOVES = 2000  # of a program and its arrays, of at most 9,999
+MOST_ELEMENTS = 9999  # of an array
+MOST_MOVES = 2000  # of a program and its arrays
+MOST_SWITCHES = 9000  # of a table, of which there are as many as it takes
 MARK = "//"
 WAIT = "waitEndMove()\ndelay({:.3f})"
 MM, DEGREES = 3, 4  # decimals
@@ -69,14 +72,6 @@ ABOUT = "<!-- beadwise: {} -->"  # which file of ours it is
 SPACE = "http://www.staubli.com/robotics/VAL3"
 XSI = 'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
 TASK = ("start", "stop", "extruder")  # programs of every application; others are part1, part2 …
-SWITCHING = (
-    "  for nSwitch=0 to size(nAt)-1",
-    "    wait(nAt[nSwitch]>=0)",
-    "    wait(getMoveId()>=nAt[nSwitch]+1)",
-    "    dOut[nOut[nSwitch]]=bOn[nSwitch]",
-    "  endFor",
-)
-FORGOTTEN = ("  for nSwitch=0 to size(nAt)-1", "    nAt[nSwitch]=-1", "  endFor")
 BEGIN_TASK, END_TASK = '  taskCreate "extruder",10,extruder()', '  taskKill("extruder")'
 
 
@@ -98,11 +93,12 @@ def write(plan: Plan) -> dict[str, str]:
     name, moves = val3_name(plan.name), moves_with_arcs(plan)
     own = in_files(sections(plan, moves), MOST_MOVES)
     descriptors, switches = _descriptors(plan, moves), _Switches(plan, moves)
+    tables = len(switches.tables)
     parts = {f"part{k}": _part(moves, k, group, descriptors, switches) for k, group in enumerate(own, 1)}
     off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
     start = [
         *_header(plan),
-        *FORGOTTEN,
+        *_forgotten(tables),
         *off,
         BEGIN_TASK,
         *_move(switches.after.get(-1, []), "movej(jStart[0],tNozzle,mPace[0])"),
@@ -112,7 +108,7 @@ def write(plan: Plan) -> dict[str, str]:
         END_TASK,
         *off,
     ]
-    programs = {"start": start, **_fixed(plan), **parts}
+    programs = {"start": start, **_fixed(plan, tables), **parts}
     return {
         f"{name}.pjx": _project(name, programs),
         f"{name}.dtx": _data(plan, moves, own, descriptors, switches),
@@ -133,10 +129,32 @@ def planned_zones(plan: Plan, moves: Moves) -> Array:
     return out
 
 
-def _fixed(plan: Plan) -> dict[str, list[str]]:
-    """Programs that are the same for every print with as many outputs."""
+def _fixed(plan: Plan, tables: int) -> dict[str, list[str]]:
+    """Programs that are the same for every print with as many outputs, and tables of switches."""
     off = [f"  dOut[{k}]=false" for k in range(len(output_numbers(plan.problem)))]
-    return {"stop": [END_TASK, *off], "extruder": list(SWITCHING)}
+    return {"stop": [END_TASK, *off], "extruder": _switching(tables)}
+
+
+def _switching(tables: int) -> list[str]:
+    """Statements that make all switches, one table after the other."""
+    lines: list[str] = []
+    for k in range(1, tables + 1):
+        lines += [
+            f"  for nSwitch=0 to size(nAt{k})-1",
+            f"    wait(nAt{k}[nSwitch]>=0)",
+            f"    wait(getMoveId()>=nAt{k}[nSwitch]+1)",
+            f"    dOut[nOut{k}[nSwitch]]=bOn{k}[nSwitch]",
+            "  endFor",
+        ]
+    return lines
+
+
+def _forgotten(tables: int) -> list[str]:
+    """Statements that forget when an earlier run has switched."""
+    lines: list[str] = []
+    for k in range(1, tables + 1):
+        lines += [f"  for nSwitch=0 to size(nAt{k})-1", f"    nAt{k}[nSwitch]=-1", "  endFor"]
+    return lines
 
 
 def _lines(texts: Iterable[str]) -> list[str]:
@@ -211,12 +229,13 @@ def _data(
         _array("fPart", "frame", [_frame(STAUBLI.part(cell), "world")]),
         _array("dOut", "dio", [f'link="{OUTPUT.format(k)}"' for k in output_numbers(plan.problem).values()]),
         _array("mPace", "mdesc", descriptors.values),
-        _array("nAt", "num", ['value="-1"'] * len(switches.table)),
-        _array("nOut", "num", [f'value="{output}"' for output, _ in switches.table]),
-        _array("bOn", "bool", [f'value="{str(value).lower()}"' for _, value in switches.table]),
-        _array("nSwitch", "num", ['value="0"']),
-        _array("jStart", "jointRx", _joints(STAUBLI.counted(plan.trajectory.q[:1, cell.own]))),
     ]
+    for k, table in enumerate(switches.tables, 1):
+        blocks.append(_array(f"nAt{k}", "num", ['value="-1"'] * len(table)))
+        blocks.append(_array(f"nOut{k}", "num", [f'value="{output}"' for output, _ in table]))
+        blocks.append(_array(f"bOn{k}", "bool", [f'value="{str(value).lower()}"' for _, value in table]))
+    blocks.append(_array("nSwitch", "num", ['value="0"']))
+    blocks.append(_array("jStart", "jointRx", _joints(STAUBLI.counted(plan.trajectory.q[:1, cell.own]))))
     for k, group in enumerate(own, 1):
         rows = [i for section in group for i in section.moves]
         blocks.append(_array(f"jPath{k}", "jointRx", [joints[i] for i in rows if not moves.linear[i]] or joints[:1]))
@@ -271,6 +290,11 @@ class _Switches:
                     self.after.setdefault(at, []).append(len(self.table))
                     self.table.append(row)
 
+    @property
+    def tables(self) -> list[list[tuple[int, bool]]]:
+        """The table in pieces that arrays hold, one at least."""
+        return [self.table[k : k + MOST_SWITCHES] for k in range(0, max(1, len(self.table)), MOST_SWITCHES)]
+
 
 def _part(moves: Moves, k: int, own: list[MoveSection], descriptors: MoveDescriptors, switches: _Switches) -> list[str]:
     """Statements of the k-th program."""
@@ -293,8 +317,9 @@ def _part(moves: Moves, k: int, own: list[MoveSection], descriptors: MoveDescrip
 
 def _move(rows: Sequence[int], move: str) -> list[str]:
     """Statements of a move, whose number switches (rows of their table) wait for."""
-    gives = f"nAt[{rows[0]}]=" if rows else ""
-    return [f"  {gives}{move}", *(f"  nAt[{row}]=nAt[{rows[0]}]" for row in rows[1:])]
+    cells = [f"nAt{1 + row // MOST_SWITCHES}[{row % MOST_SWITCHES}]" for row in rows]
+    gives = f"{cells[0]}=" if cells else ""
+    return [f"  {gives}{move}", *(f"  {cell}={cells[0]}" for cell in cells[1:])]
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -320,15 +345,16 @@ DATA = Grammar.of(
         "end": r"</Data>",
     },
 )
+CELL = r"nAt([0-9]{1,2})\[([0-9]{1,4})\]"
 MOVE = r"(Start|Path[0-9]{1,4})\[([0-9]{1,5})\],tNozzle,mPace\[([0-9]{1,6})\]\)"
 CODE = Grammar.of(
     "VAL3",
     MARK,
     {
-        "arc": r"(?:nAt\[([0-9]{1,6})\]=)?movec\(p(Path[0-9]{1,4})\[([0-9]{1,5})\],p" + MOVE,
-        "line": r"(?:nAt\[([0-9]{1,6})\]=)?movel\(p" + MOVE,
-        "point": r"(?:nAt\[([0-9]{1,6})\]=)?movej\(j" + MOVE,
-        "also": r"nAt\[([0-9]{1,6})\]=nAt\[([0-9]{1,6})\]",
+        "arc": rf"(?:{CELL}=)?movec\(p(Path[0-9]{{1,4}})\[([0-9]{{1,5}})\],p" + MOVE,
+        "line": rf"(?:{CELL}=)?movel\(p" + MOVE,
+        "point": rf"(?:{CELL}=)?movej\(j" + MOVE,
+        "also": f"{CELL}={CELL}",
         "rest": r"waitEndMove\(\)",
         "wait": rf"delay\(({NUMBER})\)",
         "output": r"dOut\[([0-9]{1,2})\]=false",
@@ -349,13 +375,14 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
     programs = [file.removesuffix(".pgx") for file in files if file.endswith(".pgx")]
     if files.get(f"{name}.pjx") != _project(name, programs) or not set(TASK) <= set(programs):
         raise InputError(f"no whole application {name} with its project and programs", file=CODE.file)
-    for fixed, lines in _fixed(plan).items():
+    arrays = _arrays(files[f"{name}.dtx"])
+    tables = _table_count(arrays)
+    for fixed, lines in _fixed(plan, tables).items():
         if files[f"{fixed}.pgx"] != _program(fixed, lines):
             raise InputError(f"{fixed}.pgx is not the program that belongs to it", file=CODE.file)
-    arrays = _arrays(files[f"{name}.dtx"])
-    bodies = {each: list(_code(files[f"{each}.pgx"], each)) for each in programs if each not in TASK[1:]}
+    bodies = {each: list(_code(files[f"{each}.pgx"], each, tables)) for each in programs if each not in TASK[1:]}
     outputs = [value for (value,) in arrays["dOut"]]
-    given: dict[int, int] = {}  # row of the table of switches → move after which it is
+    given: dict[tuple[int, int], int] = {}  # table of switches, and row in it → move after which it is
     steps, tasks, before = ProgramSteps(), [], ""
     for statement in inlined(bodies, "start", "program"):
         word, parts = statement.word, statement.parts
@@ -365,9 +392,9 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
         if word in ("line", "arc", "point"):
             steps.moves.append(_step(statement, arrays))
             if parts[0]:
-                given[int(parts[0])] = len(steps.moves) - 1
+                given[int(parts[0]), int(parts[1])] = len(steps.moves) - 1
         elif word == "also":
-            given[int(parts[0])] = given.get(int(parts[1]), -1)
+            given[int(parts[0]), int(parts[1])] = given.get((int(parts[2]), int(parts[3])), -1)
         elif word == "wait":
             steps.wait(float(parts[0]))
         elif word == "output":
@@ -378,10 +405,10 @@ def read_val3(files: Mapping[str, str], name: str, plan: Plan) -> ArmProgram:
         raise InputError(
             "the task that switches outputs does not run from before the first move to the end", file=CODE.file
         )
-    if list(given) != list(range(len(arrays["nAt"]))):
-        raise InputError("moves give other switches than the table has, or in another order", file=CODE.file)
-    for row, at in given.items():
-        (output,), (value,) = arrays["nOut"][row], arrays["bOn"][row]
+    if list(given) != [(k, row) for k in range(1, tables + 1) for row in range(len(arrays[f"nAt{k}"]))]:
+        raise InputError("moves give other switches than the tables have, or in another order", file=CODE.file)
+    for (k, row), at in given.items():
+        (output,), (value,) = arrays[f"nOut{k}"][row], arrays[f"bOn{k}"][row]
         if not int(output) < len(outputs):
             raise InputError(f"there is no output {output}", file=DATA.file)
         steps.switched.append((at, outputs[int(output)], value == "true"))
@@ -395,8 +422,8 @@ def _step(statement: Statement, arrays: Arrays) -> ProgramStep:
     values = arrays.get(f"{'p' if linear else 'j'}{path}", [])
     target, via = values[_at(statement, key, values)], None
     if statement.word == "arc":
-        there = arrays.get(f"p{statement.parts[1]}", [])
-        via = _pose(there[_at(statement, statement.parts[2], there)])
+        there = arrays.get(f"p{statement.parts[-5]}", [])
+        via = _pose(there[_at(statement, statement.parts[-4], there)])
     vel, tmax, blend, radius = arrays["mPace"][_at(statement, pace, arrays["mPace"])]
     fine = blend == "off"
     if not fine and (blend == "Cartesian") != linear:
@@ -415,8 +442,8 @@ def _at(statement: Statement, key: str, values: Sequence[object]) -> int:
     return int(key)
 
 
-def _code(text: str, name: str) -> Iterator[Statement]:
-    """Statements of a program's file, without the loop that forgets an earlier run."""
+def _code(text: str, name: str, tables: int) -> Iterator[Statement]:
+    """Statements of a program's file, without the loops that forget an earlier run."""
     lines = text.split("\n")
     head, tail = _program(name, []).split("begin\n")
     if not (text.startswith(f"{head}begin\n") and text.endswith(f"\n{tail}")):
@@ -424,11 +451,17 @@ def _code(text: str, name: str) -> Iterator[Statement]:
     first, last = head.count("\n") + 1, len(lines) - tail.count("\n") - 1
     inner = lines[first:last]
     if name == "start":
-        loop = next((k for k in range(len(inner)) if tuple(inner[k : k + 3]) == FORGOTTEN), None)
-        if loop is None:
+        loops = _forgotten(tables)
+        begin = next((k for k in range(len(inner)) if inner[k : k + len(loops)] == loops), None)
+        if begin is None:
             raise InputError("switches of an earlier run are not forgotten", file=f"{name}.pgx")
-        inner[loop : loop + 3] = [f"  {MARK}"] * 3
+        inner[begin : begin + len(loops)] = [f"  {MARK}"] * len(loops)
     return CODE.statements(inner, first + 1, f"{name}.pgx")
+
+
+def _table_count(arrays: Arrays) -> int:
+    """How many tables of switches there are, one at least."""
+    return max(1, sum(re.fullmatch(r"nAt[0-9]{1,2}", name) is not None for name in arrays))
 
 
 def _arrays(text: str) -> Arrays:
@@ -447,6 +480,8 @@ def _arrays(text: str) -> Arrays:
             if name or parts[0] in found:
                 raise statement.misplaced("within another one, or twice")
             name, kind, size = parts[0], parts[1], int(parts[2])
+            if size > MOST_ELEMENTS:
+                raise statement.error(f"{name} has more than {MOST_ELEMENTS} elements, which is the most of an array")
             found[name] = []
         elif word == "end":
             if not name or len(found[name]) != size:
@@ -456,8 +491,9 @@ def _arrays(text: str) -> Arrays:
             raise statement.misplaced("in an array of another kind, or out of its order")
         else:
             found[name].append(parts[1:])
-    needed = {"tNozzle", "fPart", "dOut", "mPace", "nAt", "nOut", "bOn", "nSwitch", "jStart"}
-    if name or not needed <= set(found) or not len(found["nAt"]) == len(found["nOut"]) == len(found["bOn"]):
+    tables = [[f"{column}{k}" for column in ("nAt", "nOut", "bOn")] for k in range(1, _table_count(found) + 1)]
+    needed = {"tNozzle", "fPart", "dOut", "mPace", "nSwitch", "jStart", *(each for table in tables for each in table)}
+    if name or not needed <= set(found) or any(len({len(found[each]) for each in table}) > 1 for table in tables):
         raise InputError(
             f"data are missing: {', '.join(sorted(needed - set(found))) or 'of the switches'}", file=DATA.file
         )
