@@ -330,6 +330,20 @@ def test_a_longer_program_is_programs_that_are_called(language: str, monkeypatch
                 differences(language, {name: text for name, text in files.items() if name not in gone})
 
 
+@pytest.mark.parametrize(
+    ("most", "value", "noted"), [("MOST_LINES", 50, True), ("MOST_POSITIONS", 50, True), ("MOST_LINES", 5000, False)]
+)
+def test_programs_that_are_more_than_a_controller_holds_say_so(
+    most: str, value: int, noted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module("melfa"), most, value)
+    main, *parts = module("melfa").write(arc()).values()
+    positions = sum(len(re.findall(r"^[PJ]\d+=", text, re.MULTILINE)) for text in parts)
+    lines = sum(len(re.findall(r"^\d+ ", text, re.MULTILINE)) for text in parts)
+    assert f"' Calls {len(parts)} programs with {positions} positions and {lines} lines in all" in main
+    assert ("' Note: a CR750 is said to hold" in main) == noted
+
+
 def test_more_switches_than_an_array_holds_are_in_several(monkeypatch: pytest.MonkeyPatch) -> None:
     val3 = module("val3")
     monkeypatch.setattr(val3, "MOST_SWITCHES", 3)

@@ -81,7 +81,8 @@ def branch_of(flag: int) -> int:
 # move begins.
 
 LONGEST_NAME = 12
-MOST_MOVES = 2000  # of a program; a CR750 is said to hold 39,000 positions and 78,000 lines in all
+MOST_MOVES = 2000  # of a program
+MOST_POSITIONS, MOST_LINES = 39_000, 78_000  # that a CR750 is said to hold in all
 MARK = "'"
 MM, DEGREES = 3, 4  # decimals
 SPEED = 2  # decimals of mm/s
@@ -102,9 +103,21 @@ def write(plan: Plan) -> dict[str, str]:
     names = [numbered(name, k, LONGEST_NAME) for k in range(1, len(own) + 1)]
     off = [f"M_Out({k})=0" for k in output_numbers(plan.problem).values()]
     start = MITSUBISHI.counted(plan.trajectory.q[:1, plan.cell.own])
-    tool = MITSUBISHI.tool(plan.cell)
-    lines = [
+    tool, targets = MITSUBISHI.tool(plan.cell), _Targets(plan, moves)
+    files: dict[str, str] = {}
+    lines = places = 0
+    for k, (title, group) in enumerate(zip(names, own, strict=True), 1):
+        remarks = [ascii_comment(MARK, text) for text in part_about(about(plan), k, len(own))]
+        body, positions = _part(plan, moves, group, targets)
+        files[f"{title}.prg"] = _text([*remarks, *body], positions)
+        lines, places = lines + len(remarks) + len(body) + 1, places + len(positions)
+    size = [f"Calls {len(own)} programs with {places} positions and {lines} lines in all: import all of them"]
+    if places > MOST_POSITIONS or lines > MOST_LINES:
+        most = f"{MOST_POSITIONS} positions and {MOST_LINES} lines"
+        size.append(f"Note: a CR750 is said to hold {most} in all; see docs/languages.md")
+    main = [
         *_header(plan),
+        *(ascii_comment(MARK, text) for text in size),
         f"Tool ({_poses(tool[None, :3, 3], tool[None, :3, :3])[0]})",
         "Base P_NBase",
         "Ovrd 100",
@@ -116,13 +129,7 @@ def write(plan: Plan) -> dict[str, str]:
         *(f'CallP "{each}"' for each in names),
         *off,
     ]
-    files = {f"{name}.prg": _text(lines, [f"J1=({_joints(start)[0]})"])}
-    targets = _Targets(plan, moves)
-    for k, (title, group) in enumerate(zip(names, own, strict=True), 1):
-        remarks = [ascii_comment(MARK, text) for text in part_about(about(plan), k, len(own))]
-        body, positions = _part(plan, moves, group, targets)
-        files[f"{title}.prg"] = _text([*remarks, *body], positions)
-    return files
+    return {f"{name}.prg": _text(main, [f"J1=({_joints(start)[0]})"]), **files}
 
 
 def planned_speeds(moves: Moves) -> Array:

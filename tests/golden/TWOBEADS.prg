@@ -7,14 +7,15 @@
 7 ' Output 1: doExtrude
 8 ' J1 to J6, as Mitsubishi counts: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6
 9 ' Load: set it by Loadset before the first run
-10 Tool (-44.510,9.900,113.950,0.0000,0.0000,0.0000)
-11 Base P_NBase
-12 Ovrd 100
-13 M_Out(1)=0
-14 JOvrd 49
-15 Cnt 0
-16 Mov J1
-17 CallP "TWOBEADS_1"
-18 M_Out(1)=0
-19 End
+10 ' Calls 1 programs with 41 positions and 79 lines in all: import all of them
+11 Tool (-44.510,9.900,113.950,0.0000,0.0000,0.0000)
+12 Base P_NBase
+13 Ovrd 100
+14 M_Out(1)=0
+15 JOvrd 49
+16 Cnt 0
+17 Mov J1
+18 CallP "TWOBEADS_1"
+19 M_Out(1)=0
+20 End
 J1=(30.0000,20.0000,120.0000,90.0000,-80.0000,60.0000)
