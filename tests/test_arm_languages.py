@@ -247,8 +247,10 @@ def test_targets_are_where_the_plan_has_the_nozzle(language: str) -> None:
     convention = MAKERS[language][0]
     planned = np.array([np.linalg.inv(part) @ controller(language, row) @ tool for row in convention.counted(q)])
     moves = plan_moves(plan, arcs=language != "inform")
-    # which stand among the positions there, with the beginnings of arcs besides
-    middles = {"fanuc": 1, "val3": 1, "melfa": 2}.get(language, 0) * moves.circular.sum()
+    # which stand among the positions there, with the beginnings of arcs where no line or arc ends
+    middles = int(moves.circular.sum()) if language in ("fanuc", "val3", "melfa") else 0
+    if language == "melfa":
+        middles += int((moves.circular & ~np.append(False, moves.linear[:-1])).sum())
     assert len(poses) == moves.linear.sum() + middles and len(axes) == len(moves) + 1 - moves.linear.sum()
     near = 2.0 * plan.problem.program.chord
     for values in poses:
@@ -482,7 +484,7 @@ TAMPERED: dict[str, list[Tampering]] = {
     ],
     "melfa": [
         ("_1.prg", r"P1=.*", more(2.0), 0, ""),
-        ("_1.prg", r"P2=.*", more(DEGREE, 4), 0, "does not begin"),
+        ("_1.prg", r"P2=.*", more(DEGREE, 4), 0, "on the way of arcs"),
         ("_1.prg", r"J5=.*", more(0.01, 3), 0, "axes differ"),
         ("_1.prg", r"P1=.*\)\(\d", lambda m: m[0][:-1] + str(int(m[0][-1]) ^ 1), 0, "flags"),
         ("_1.prg", r"P1=.*,0\)", lambda m: m[0][:-2] + "16)", 0, "flags"),
@@ -581,7 +583,7 @@ def test_a_program_that_says_something_else_is_found(
         ("melfa", "_1.prg", "Mvs P1", "Mvs P999", "there is no position P999"),
         ("melfa", "_1.prg", "\nP2=(", "\nP1=(", "twice"),
         ("melfa", "_1.prg", "\nP2=(", "\nP2=(nan", "unknown position"),
-        ("melfa", "_1.prg", "Mvr P2,", "Mvr P3,", "does not begin where"),
+        ("melfa", "_1.prg", "Mvr P1,", "Mvr P2,", "does not begin where"),
         ("melfa", "S.prg", "Ovrd 100", "Ovrd 10", "unknown statement"),
         ("melfa", "S.prg", "Base P_NBase", "Ovrd 100", "base and override"),
         ("melfa", "S.prg", "TWOBEADS_1", "TWOBEADS_2", "is no program"),

@@ -238,7 +238,9 @@ def _part(plan: Plan, moves: Moves, own: list[MoveSection], targets: _Targets) -
             *plain, last = waiting or [""]
             lines += plain
             if moves.circular[i]:
-                move = f"Mvr {place('P', targets.start[i])},{place('P', targets.via[i])},{place('P', targets.end[i])}"
+                shared = counts["P"] > 0 and moves.linear[i - 1]  # where the move before it in this program ends
+                begin = f"P{counts['P']}" if shared else place("P", targets.start[i])
+                move = f"Mvr {begin},{place('P', targets.via[i])},{place('P', targets.end[i])}"
             elif moves.linear[i]:
                 move = f"Mvs {place('P', targets.end[i])}"
             else:

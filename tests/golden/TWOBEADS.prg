@@ -7,7 +7,7 @@
 7 ' Output 1: doExtrude
 8 ' J1 to J6, as Mitsubishi counts: joint_1, joint_2, joint_3, joint_4, joint_5, joint_6
 9 ' Load: set it by Loadset before the first run
-10 ' Calls 1 programs with 41 positions and 79 lines in all: import all of them
+10 ' Calls 1 programs with 39 positions and 79 lines in all: import all of them
 11 Tool (-44.510,9.900,113.950,0.0000,0.0000,0.0000)
 12 Base P_NBase
 13 Ovrd 100
