@@ -137,6 +137,9 @@ def test_half_a_turn_is_written_one_way(last_bit: float) -> None:
 def test_names() -> None:
     assert krl_name("cylinder_logo") == "CylinderLogo"
     assert krl_name("loop") == "PrintLoop"
+    assert krl_name("bas") == "PrintBas"  # a program of KUKA's own, which every program calls
+    assert krl_name("x_start") == "PrintXStart"
+    assert krl_name("axis") == "PrintAxis"
     assert krl_name("a_very_long_name_of_a_problem") == "AVeryLongNameOfAProblem"
     assert krl_name("a_very_long_name_of_a_problem_from_12") == "AVeryLongNameOfAPrFrom12"
     assert len(krl_name("a_very_long_name_" * 5)) == 24
