@@ -174,7 +174,9 @@ def test_golden_files(name: str) -> None:
 
 
 def test_an_application_is_xml() -> None:
-    for name, text in written("val3").items():
+    files = module("val3").write(replace(arc(), strategy="ladder, as in plan[first[0]]>M4 & <b>"))
+    assert "plan[first[0]] >M4" in files["start.pgx"]
+    for name, text in files.items():
         root = ElementTree.fromstring(text)
         assert root.tag.rsplit("}")[-1] == {"pjx": "Project", "dtx": "Database", "pgx": "Programs"}[name.split(".")[1]]
 

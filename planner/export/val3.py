@@ -174,7 +174,8 @@ def _header(plan: Plan) -> list[str]:
 
 def _program(name: str, lines: Sequence[str]) -> str:
     code = [XML, ABOUT.format(f"program {name}"), f'<Programs {XSI} xmlns="{SPACE}/Program/2">']
-    code += [f'  <Program name="{name}">', "    <Code><![CDATA[begin", *lines, "end]]></Code>", "  </Program>"]
+    inner = [line.replace("]]>", "]] >") for line in lines]  # a note in a comment must not end the section
+    code += [f'  <Program name="{name}">', "    <Code><![CDATA[begin", *inner, "end]]></Code>", "  </Program>"]
     return "\n".join([*code, "</Programs>", ""])
 
 
