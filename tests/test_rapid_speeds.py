@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -91,6 +92,18 @@ def test_a_slow_bead_s_speed_keeps_the_digits_that_its_time_needs() -> None:
     lines, names = speeds(numbers)
     assert names[1 + int(np.argmax(moves.laid))] == "vel5_8625"
     assert any("vel5_8625:=[5.8625," in line for line in lines)
+
+
+@pytest.mark.parametrize("mm_s", [33.3333333, 133.3333333])
+def test_a_bead_as_fast_as_travel_has_the_same_speed(mm_s: float) -> None:
+    process = plan().problem.process.model_copy(update={"travel_speed": mm_s * 1e-3})
+    asked = SimpleNamespace(**vars(plan().problem) | {"process": process})
+    moves = plan_moves(plan())
+    moves = replace(moves, speed=np.where(moves.laid, mm_s * 1e-3, moves.speed))
+    lines, names = speeds(speed_numbers(replace(plan(), problem=asked), moves))  # type: ignore[arg-type]
+    declared = [line.split(":=")[0] for line in lines]
+    assert len(set(declared)) == len(declared)
+    assert names[0] == names[1 + int(np.argmax(moves.laid))] == f"vel{mm_s:.6g}".replace(".", "_")
 
 
 def test_the_way_to_the_start_has_its_speed() -> None:

@@ -118,8 +118,8 @@ def tool_of(plan: Plan) -> str:
 def speed_numbers(plan: Plan, moves: Moves) -> Array:
     """Speeds (m + 1, 4) of the way to the start and of every move, as a speeddata has them: tip [mm/s], reorientation
     [deg/s], axes that slide [mm/s] and that turn [deg/s]."""
-    top = plan.problem.process.travel_speed * 1e3
-    own = [float(f"{speed:.6g}") for speed in (moves.speed * 1e3).tolist()]  # all digits that `speeds` writes
+    # all digits that `speeds` writes, so that speeds of one name are one
+    top, *own = (float(f"{speed * 1e3:.6g}") for speed in (plan.problem.process.travel_speed, *moves.speed.tolist()))
     tip = np.where(moves.laid, own, np.clip(np.ceil(moves.speed * 1e3), 1.0, top))
     turn, axis, slide = np.degrees(moves.turn), np.degrees(moves.axis), moves.slide * 1e3
     axis *= plan.cell.second_arm is None  # whose joints are not this task's
