@@ -30,6 +30,7 @@ from learn_fixtures import (
 from solved import small_plan, small_problem, write_small
 
 from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
+from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
 from planner.cell.cell import build_cell
@@ -49,7 +50,7 @@ from planner.feedback.learn_fit import (
     less_around,
     next_lessons,
 )
-from planner.feedback.learn_telling import next_name, read_lessons, write_problem
+from planner.feedback.learn_telling import next_name, off_at, read_lessons, write_problem
 from planner.feedback.learn_track import recorded_way
 from planner.feedback.planned import PlannedWith, planned_problem, planned_with
 from planner.feedback.recordings import read_log
@@ -61,6 +62,9 @@ from planner.planning.pipeline import as_it_is, solve
 from planner.problem import Problem, load_problem
 from planner.problem.as_run import AsRunSpec
 from planner.verify.as_run import as_run, learned_shifts
+
+# what a trajectory has of each sample, besides its time
+SAMPLED = ("bead", "layer", "deposit", "s", "q", "tip", "quat", "axis", "branch", "speed", "flow", "extruded", "feed")
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +98,7 @@ def test_a_rest_on_a_bead_has_one_correction(plan: Plan, tmp_path: Path) -> None
     t = plan.trajectory
     k = int(np.flatnonzero(t.deposit)[150])
     rows = np.insert(np.arange(len(t)), k, np.full(80, k))
-    names = ("bead", "layer", "deposit", "s", "q", "tip", "quat", "axis", "branch", "speed", "flow", "extruded", "feed")
-    rested = replace(t, t=t.dt * np.arange(len(rows)), **{name: getattr(t, name)[rows] for name in names})
+    rested = replace(t, t=t.dt * np.arange(len(rows)), **{name: getattr(t, name)[rows] for name in SAMPLED})
     off = np.tile([0.0, 1e-4, 0.0], (len(rested), 1))
     lessons = next_lessons(rested, toy_errors(rested, off), None, MOST)
     with_corrections(replace(plan, trajectory=rested), lessons.corrections, tmp_path)
@@ -121,6 +124,28 @@ def test_lessons_bring_a_robot_that_follows_to_its_plan_and_one_that_does_the_co
     assert left[-1.0][1] > 1.5
     assert (np.diff(left[-1.0][1:]) < 0.0).all()
     assert left[-1.0][5] < 1.15
+
+
+def test_beads_that_a_resumed_print_does_not_lay_keep_what_they_had(plan: Plan) -> None:
+    t = plan.trajectory
+    off = 0.2e-3 * np.column_stack([np.sin(300.0 * t.s), np.cos(200.0 * t.s), np.ones(len(t))])
+    before = next_lessons(t, toy_errors(t, off), None, MOST)
+    rows = np.arange(int(np.argmax(t.deposit & (t.bead == 1))) - 1, len(t))
+    rest = replace(t, t=t.t[: len(rows)], **{name: getattr(t, name)[rows] for name in SAMPLED})
+    errors = toy_errors(rest, 0.5 * off[rows])
+    after = next_lessons(rest, errors, before, MOST)
+    kept = after.corrections.bead == 0
+    assert after.corrections.bead.tolist() == before.corrections.bead.tolist() and kept.any()
+    for found, had in zip(columns_of(after), columns_of(before), strict=True):
+        assert np.array_equal(found[kept], had[kept])
+        assert found[~kept] == pytest.approx(had[~kept], abs=0.3e-3)
+    assert not np.array_equal(after.corrections.shift[~kept], before.corrections.shift[~kept])
+    assert np.array_equal(np.isnan(off_at(after.corrections, rest, errors)), kept)
+    assert next_lessons(rest, errors, before, 0.1e-3).corrections.most == pytest.approx(0.1e-3, abs=3e-9)
+
+
+def columns_of(lessons: Lessons) -> tuple[Array, ...]:
+    return lessons.corrections.s, lessons.corrections.shift, lessons.best, lessons.left
 
 
 def test_what_bends_most_is_evened_and_what_is_not_safe_is_made_smaller() -> None:

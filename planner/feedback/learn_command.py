@@ -247,6 +247,7 @@ def learned_plan(
     corrections = lessons.corrections
     smoothed, bend = 0, most_bent(corrections, len(plan.toolpath.beads))
     usual = len(_hasty(replace(plan, asked=None), language))
+    laid = np.unique(plan.trajectory.bead[plan.trajectory.deposit]).astype(np.int64)
     with tempfile.TemporaryDirectory() as folder:
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
@@ -255,7 +256,7 @@ def learned_plan(
             with stages.stage("export"):
                 asked = replace(plan, asked=asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory))
                 differences = _differences(asked, language)
-                beads = _not_followed(plan, corrections, np.unique(corrections.bead), language) if differences else None
+                beads = _not_followed(plan, corrections, laid, language) if differences else None
             if beads is not None:
                 failed = (Check(REPEATED, 1.0, 0.0, "programs that do not", False, "; ".join(differences)),)
                 bend[beads] *= SMOOTHER

@@ -116,7 +116,8 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
     """What a run teaches besides what the runs before have; its corrections are `most` [m] each at most.
 
     Where a run was nearer to the plan than the best before it, the next asks for what it left, and else for less of what
-    the best one had left: so a robot on which a correction does harm keeps the one that did not.
+    the best one had left: so a robot on which a correction does harm keeps the one that did not. Beads that the trajectory
+    does not lay keep what they had.
     """
     step = max(round(KNOT / t.dt), 1)
     rows: list[tuple[Array, ...]] = []
@@ -135,9 +136,31 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
             best, left = np.where(better[:, None], ran, best), np.where(better[:, None], off, left)
         rows.append((np.full(len(s), bead), s, best - gain[:, None] * left, best, left, gain))
     beads, s, shift, best, left, gain = (np.concatenate(column) for column in zip(*rows, strict=True))
+    found = Lessons(Corrections(beads.astype(np.int64), s, _bounded(shift, most)), best, left, gain)
+    return found if before is None else _with_others(found, before, most)
+
+
+def _with_others(found: Lessons, before: Lessons, most: float) -> Lessons:
+    """What a run taught, and for beads that it did not lay, as those before the first one of a resumed print, what there was;
+    corrections of these are `most` [m] each at most, too."""
+    kept = ~np.isin(before.corrections.bead, found.corrections.bead)
+    bead = np.concatenate([found.corrections.bead, before.corrections.bead[kept]])
+    order = np.argsort(bead, kind="stable")
+
+    def both(own: Array, others: Array) -> Array:
+        return np.asarray(np.concatenate([own, others[kept]])[order])
+
+    shift = both(found.corrections.shift, _bounded(before.corrections.shift, most))
+    corrections = Corrections(bead[order], both(found.corrections.s, before.corrections.s), shift)
+    return Lessons(
+        corrections, both(found.best, before.best), both(found.left, before.left), both(found.gain, before.gain)
+    )
+
+
+def _bounded(shift: Array, most: float) -> Array:
+    """Displacements (k, 3) [m], made as small as `most` [m] where they are larger."""
     size = np.linalg.norm(shift, axis=1, keepdims=True)
-    shift = shift * np.minimum(1.0, (most - ROUNDED) / np.where(size > 0.0, size, 1.0))
-    return Lessons(Corrections(beads.astype(np.int64), s, shift), best, left, gain)
+    return np.asarray(shift * np.minimum(1.0, (most - ROUNDED) / np.where(size > 0.0, size, 1.0)))
 
 
 def _before(before: Lessons | None, bead: int, s: Array) -> tuple[Array, Array, Array, Array]:

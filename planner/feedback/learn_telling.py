@@ -80,7 +80,7 @@ def off_at(corrections: Corrections, t: Trajectory, errors: RunErrors) -> Array:
     at = np.searchsorted(t.bead[rows] * longest + t.s[rows], corrections.bead * longest + corrections.s - 1e-9)
     sample = rows[np.minimum(at, len(rows) - 1)]
     off = np.linalg.norm(errors.off[sample], axis=1)
-    return np.asarray(np.where(errors.known[sample], off, np.nan))
+    return np.asarray(np.where(errors.known[sample] & (t.bead[sample] == corrections.bead), off, np.nan))
 
 
 def next_name(problem: Problem, number: int | None = None) -> str:
