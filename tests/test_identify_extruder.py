@@ -253,6 +253,21 @@ def test_the_line_s_problem_has_the_cell_and_nothing_of_the_print(tmp_path: Path
     assert read.cell.model_dump(exclude={"arm"}) == problem.cell.model_dump(exclude={"arm"})
 
 
+def test_the_line_begins_without_pressure(tmp_path: Path) -> None:
+    """Its flow is fitted as one that rises from none; what is pulled back at its end does not matter."""
+    text = (PROBLEMS / "cylinder_logo.yaml").read_text("utf-8")
+    moves = "prime: {length_mm: 2, speed_mm_s: 25}\n  retract: {length_mm: 2, speed_mm_s: 25}"
+    (tmp_path / "logo.svg").write_text((PROBLEMS / "logo.svg").read_text("utf-8"), encoding="utf-8")
+    (tmp_path / "primed.yaml").write_text(text.replace("\nprocess:\n", f"\nprocess:\n  {moves}\n"), encoding="utf-8")
+    problem = load_problem(tmp_path / "primed.yaml")
+    assert problem.process.prime.length == pytest.approx(2e-3)
+    line = problem_text(problem, line_of(problem, LENGTH), "logo_line", tmp_path)
+    (tmp_path / "logo_line.yaml").write_text(line, encoding="utf-8")
+    (tmp_path / "logo_line.txt").write_text("0 0 0 0 0 1\n1 0 0 0 0 1\n", encoding="utf-8")
+    process = load_problem(tmp_path / "logo_line.yaml").process
+    assert process.prime.length == 0.0 and process.retract == problem.process.retract
+
+
 def test_the_line_s_problem_has_nothing_of_what_runs_have_taught(tmp_path: Path) -> None:
     """Corrections are of the print's beads."""
     text = (PROBLEMS / "cylinder_logo.yaml").read_text("utf-8")

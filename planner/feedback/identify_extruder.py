@@ -42,9 +42,11 @@ LEAST_EXPLAINED = 0.2  # of what varies in a table, which the line's steps must 
 FACTOR = 5.0  # times what the line takes, beyond which a table is in another unit
 LITTLE = 1e-3  # s of lag
 SHOWN = 0.25  # standard error over value up to which a value is told
-# What belongs to a print, and not to a line; without the lag the motor steps, so that a table shows the flow.
+# What belongs to a print, and not to a line; without the lag the motor steps, so that a table shows the flow, and without a
+# prime the line begins as it is modelled, with no flow.
 PRINTED = ("part", "layers", "as_printed", "as_run", "process.speeds", "process.layer_time", "process.pauses",
-           "process.order", "process.seam", "process.skirt", "process.fan", "process.extruder.lag_s")  # fmt: skip
+           "process.order", "process.seam", "process.skirt", "process.fan", "process.prime",
+           "process.extruder.lag_s")  # fmt: skip
 COLUMNS = {
     "from_mm": 1e-3, "to_mm": 1e-3, "mass_mg": 1e-6, "s_mm": 1e-3, "width_mm": 1e-3,
 }  # name → its unit in m, kg  # fmt: skip
