@@ -23,7 +23,7 @@ from planner.export.player.model import ABB, MotionModel
 from planner.export.player.play import play
 from planner.feedback.identify_command import main
 from planner.feedback.identify_findings import findings
-from planner.feedback.identify_path import CommandedPath, FollowedPath, follow, off_commands
+from planner.feedback.identify_path import CommandedPath, FollowedPath, ShownValue, follow, off_commands
 from planner.feedback.identify_robot_file import robots_of, write_controller
 from planner.feedback.identify_run import (
     PlannedRun,
@@ -412,6 +412,23 @@ def test_what_a_controller_does_is_written_and_forecasts_use_it(tmp_path: Path):
     assert usual.measured(()) is usual and usual.measured((("ahead_moves", 4.0),)).motion.ahead_moves == 4
     with pytest.raises(OutputError, match="cannot write"):
         write_controller(arm, found, [], source, tmp_path / "mine")
+
+
+def test_a_later_run_keeps_what_it_does_not_show(tmp_path: Path):
+    plan, _, _ = planned()
+    (arm, _) = robots_of(plan.problem, plan.cell)
+    found = findings(*run_of(ZIGZAG, replace(ABB, lag=0.03), speed=0.1, zone=ZONES))
+    (tmp_path / "run.csv").write_text("t_s\n")
+    first = write_controller(arm, found, [], tmp_path / "run.csv", tmp_path / "mine")
+    hidden = ShownValue(0.0, 0.0, False)
+    stops = replace(
+        found, lag=hidden, depth=replace(found.depth, value=0.5), brakes=(), ahead=ShownValue(3.2, 0.5, True)
+    )
+    later = replace(arm, path=first, robot=read_robot(first))
+    again = read_robot(write_controller(later, stops, [], tmp_path / "run.csv", tmp_path / "later"))
+    had, has = dict(read_robot(first).controller), dict(again.controller)
+    assert has == had | {"depth": 0.5, "ahead_moves": 3.0} and "lag" in has
+    assert again.measured == "controller from run.csv; before: controller from run.csv"
 
 
 def test_nothing_is_left_of_a_controller_that_no_robot_may_have(tmp_path: Path):

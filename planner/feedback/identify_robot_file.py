@@ -128,15 +128,17 @@ def controller_values(found: PathFindings) -> dict[str, float]:
 def write_controller(
     robot: MeasuredRobot, found: PathFindings, about: Sequence[str], source: Path, folder: Path
 ) -> Path:
-    """Write a copy of an arm's file with what a run has shown of its controller; returns its path.
+    """Write a copy of an arm's file with what a run has shown of its controller, beside what the file has; returns its path.
 
     about   what is to stand above it, in words;  source: the recording
     Raises OutputError where there is a file already, or none can be written.
     """
     file, text = read_robot_file(robot.path), _read(robot.path)
     told = f"controller from {source.name}"
+    # a run that does not show something says nothing against what the file has of it
+    known = {str(name): float(value) for name, value in file.data.get("controller", {}).items()}
     changes: dict[str, Value] = {
-        "controller": controller_values(found),
+        "controller": known | controller_values(found),
         "measured": f"{told}; before: {robot.robot.measured}" if robot.robot.measured else told,
     }
     urdf = file.data["urdf"]
