@@ -124,4 +124,8 @@ def test_noise_is_told_whatever_the_motion(noise: float, seed: int) -> None:
 
 
 def test_too_few_samples_have_no_noise() -> None:
-    assert noise_of(np.ones((3, 2))).tolist() == [0.0, 0.0]
+    for count in range(4):
+        assert noise_of(np.ones((count, 2))).tolist() == [0.0, 0.0]
+    _, q = moving()
+    never = np.arange(len(q)) % 4 > 0  # three in a row
+    assert not noise_of(q, never).any() and noise_of(q, np.ones(len(q), dtype=bool)).tolist() == noise_of(q).tolist()

@@ -126,6 +126,12 @@ def test_noise_of_a_recording_is_told(plan: Plan, tmp_path: Path) -> None:
     clean = plan.cell.T_part_nozzle(np.ascontiguousarray(q))[:, :3, 3]
     true = float((way.tip - clean).std())
     assert errors.noise == pytest.approx(true, rel=0.15)
+    # rests before and behind, whose samples are all the same, as of an interface that mixes instants
+    q = q + np.random.default_rng(1).normal(0.0, noise, q.shape)
+    q = np.vstack([np.tile(q[0], (len(q), 1)), q, np.tile(q[-1], (len(q), 1))])
+    assert errors_of(plan.trajectory, true_way(plan, 4e-3 * np.arange(len(q)), q)).noise == pytest.approx(
+        true, rel=0.15
+    )
 
 
 @pytest.mark.parametrize("unit", ["rad", "deg", ""])

@@ -5,15 +5,19 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_coeffs, savgol_filter
 
-from planner.base.arrays import MAD_TO_SIGMA, Array
+from planner.base.arrays import MAD_TO_SIGMA, Array, Flags
 
 
-def noise_of(samples: Array) -> Array:
+def noise_of(samples: Array, among: Flags | None = None) -> Array:
     """Standard deviation (c) of single samples (s, c), evenly spaced: of their third differences, which hold noise and hardly
-    any motion, by the median, which few wrong samples do not change. 0 of fewer than four."""
-    if len(samples) < 4:
+    any motion, by the median, which few wrong samples do not change. 0 of fewer than four in a row; among (s): those that
+    count, all where nothing is said."""
+    third = np.diff(samples, 3, axis=0)
+    if among is not None and len(third):
+        third = third[np.lib.stride_tricks.sliding_window_view(among, 4).all(axis=1)]
+    if not len(third):
         return np.zeros(samples.shape[1])
-    return np.asarray(MAD_TO_SIGMA * np.median(np.abs(np.diff(samples, 3, axis=0)), axis=0) / np.sqrt(20.0))
+    return np.asarray(MAD_TO_SIGMA * np.median(np.abs(third), axis=0) / np.sqrt(20.0))
 
 
 def window_of(span: float, step: float) -> int:

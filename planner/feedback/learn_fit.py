@@ -39,7 +39,7 @@ class RunErrors(ReadOnlyArrays):
     off (n, 3)     of the executed tip across the planned path, part frame [m]; 0 where it is not known
     known (n)      samples of beads that the recording shows
     speed (n)      executed along the plan [m/s]; NaN where it is not known
-    noise          standard deviation of one recorded tip [m]
+    noise          standard deviation of one recorded tip on a bead [m]
     """
 
     off: Array
@@ -68,11 +68,13 @@ def errors_of(t: Trajectory, run: RecordedWay) -> RunErrors:
     along = along / np.where(size > 0.0, size, 1.0)
     off = executed - t.tip
     off -= (off * along).sum(axis=1, keepdims=True) * along
+    # at rest a recording repeats its last digits, and shows no noise
+    laying = t.deposit[np.minimum(np.rint(run.place).astype(np.int64), n - 1)]
     return RunErrors(
         np.where(known[:, None], off, 0.0),
         known,
         _speed(t, when, known),
-        float(np.sqrt((noise_of(run.tip) ** 2).mean())),
+        float(np.sqrt((noise_of(run.tip, laying) ** 2).mean())),
     )
 
 
