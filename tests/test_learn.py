@@ -144,6 +144,20 @@ def test_beads_that_a_resumed_print_does_not_lay_keep_what_they_had(plan: Plan) 
     assert next_lessons(rest, errors, before, 0.1e-3).corrections.most == pytest.approx(0.1e-3, abs=3e-9)
 
 
+def test_what_a_forecast_taught_stays_where_a_run_shows_nothing(plan: Plan) -> None:
+    t = plan.trajectory
+    off = np.tile([0.0, 0.0, 2e-4], (len(t), 1))
+    found = next_lessons(t, toy_errors(t, off), None, MOST)
+    none = np.zeros_like(found.best)
+    before = Lessons(found.corrections, none, none, np.zeros_like(found.gain))
+    errors = replace(toy_errors(t, 0.5 * off), known=t.deposit & (t.bead != 1))
+    after = next_lessons(t, errors, before, MOST)
+    hidden = after.corrections.bead == 1
+    assert after.corrections.shift[hidden] == pytest.approx(found.corrections.shift[hidden], abs=1e-12)
+    assert (after.gain[hidden] == 0.0).all() and (after.gain[~hidden] == 1.0).all()
+    assert after.corrections.shift[~hidden] == pytest.approx(1.5 * found.corrections.shift[~hidden], abs=1e-7)
+
+
 def columns_of(lessons: Lessons) -> tuple[Array, ...]:
     return lessons.corrections.s, lessons.corrections.shift, lessons.best, lessons.left
 

@@ -136,7 +136,9 @@ def next_lessons(t: Trajectory, errors: RunErrors, before: Lessons | None, most:
                 better, np.where(gain == 0.0, 1.0, np.minimum(MORE * gain, 1.0)), np.maximum(LESS * gain, LEAST)
             )
             best, left = np.where(better[:, None], ran, best), np.where(better[:, None], off, left)
-        rows.append((np.full(len(s), bead), s, best - gain[:, None] * left, best, left, gain))
+        # where no run has taught anything yet, what a forecast did stays
+        shift = np.where((gain > 0.0)[:, None], best - gain[:, None] * left, ran)
+        rows.append((np.full(len(s), bead), s, shift, best, left, gain))
     beads, s, shift, best, left, gain = (np.concatenate(column) for column in zip(*rows, strict=True))
     found = Lessons(Corrections(beads.astype(np.int64), s, _bounded(shift, most)), best, left, gain)
     return found if before is None else _with_others(found, before, most)
