@@ -50,7 +50,7 @@ from planner.feedback.learn_fit import (
     less_around,
     next_lessons,
 )
-from planner.feedback.learn_telling import next_name, off_at, read_lessons, write_problem
+from planner.feedback.learn_telling import next_lines, next_name, off_at, read_lessons, write_problem
 from planner.feedback.learn_track import recorded_way
 from planner.feedback.planned import PlannedWith, planned_problem, planned_with
 from planner.feedback.recordings import read_log
@@ -156,6 +156,31 @@ def test_what_a_forecast_taught_stays_where_a_run_shows_nothing(plan: Plan) -> N
     assert after.corrections.shift[hidden] == pytest.approx(found.corrections.shift[hidden], abs=1e-12)
     assert (after.gain[hidden] == 0.0).all() and (after.gain[~hidden] == 1.0).all()
     assert after.corrections.shift[~hidden] == pytest.approx(1.5 * found.corrections.shift[~hidden], abs=1e-7)
+
+
+# what the best runs had left [mm] and with which gain, what they have left now, of which beads this one tells, and what is said
+LEFT: dict[str, tuple[float, float, float, list[int], str]] = {
+    "hardly": (0.3, 1.0, 0.29, [0, 1], "(0.290 mm rms, 0.300)"),
+    "by a third": (0.3, 1.0, 0.2, [0, 1], ""),
+    "behind a forecast": (0.0, 0.0, 0.29, [0, 1], ""),
+    "of one bead": (0.3, 1.0, 0.2, [1], ""),
+    "of none": (0.3, 1.0, 0.3, [], ""),
+}
+
+
+@pytest.mark.parametrize("name", LEFT)
+def test_it_is_told_when_runs_have_little_left_to_teach(name: str) -> None:
+    was, gain, now, shown, figures = LEFT[name]
+    none, s = np.zeros((4, 3)), np.array([0.0, 1e-3, 0.0, 1e-3])
+    corrections, beads = Corrections(np.array([0, 0, 1, 1]), s, none), np.array(shown, dtype=np.int64)
+    before = Lessons(corrections, none, np.tile([0.0, was * 1e-3, 0.0], (4, 1)), np.full(4, gain))
+    of_run = np.isin(corrections.bead, beads)  # others keep what they had
+    left = np.where(of_run[:, None], [0.0, now * 1e-3, 0.0], before.left)
+    after = Lessons(corrections, none, left, np.where(of_run, 1.0, before.gain))
+    told = next_lines(after, before, beads, 0)
+    assert len(told) == 1 + bool(figures) and figures in told[-1]
+    assert ("little left to teach" in told[-1]) == bool(figures)
+    assert len(next_lines(after, None, beads, 0)) == 1
 
 
 def columns_of(lessons: Lessons) -> tuple[Array, ...]:

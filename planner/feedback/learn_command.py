@@ -151,7 +151,8 @@ def _recorded(plan: Plan, options: argparse.Namespace, most: float, stages: Stag
     before = None if corrections is None else read_lessons(problem, corrections)
     wanted = next_lessons(plan.trajectory, errors, before, most)
     learned = learned_plan(plan, wanted, errors, most, language, stages)
-    print("\n".join(next_lines(learned.lessons.corrections, before, errors, learned.smoothed)), flush=True)
+    shown = np.unique(plan.trajectory.bead[errors.known]).astype(np.int64)
+    print("\n".join(next_lines(learned.lessons, before, shown, learned.smoothed)), flush=True)
     return learned, errors
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from planner.base.arrays import Array, Indices
+from planner.base.arrays import Array, Indices, Ints
 from planner.base.errors import OutputError
 from planner.feedback.learn_fit import Lessons, RunErrors
 from planner.feedback.learn_track import RecordedWay
@@ -28,7 +28,7 @@ TAUGHT = (
 # Columns more: how far the last run was off the plan there, empty where it is not known; and what is gone on from, see Lessons.
 OFF, GAIN = "off_mm", "gain"
 BEST, LEFT = ("best_dx_mm", "best_dy_mm", "best_dz_mm"), ("left_dx_mm", "left_dy_mm", "left_dz_mm")
-WORTH = 0.9  # of what the run before was off: a run that leaves more has hardly anything left to teach
+WORTH = 0.9  # of what the best runs before left: one after which more is left has hardly anything to teach any more
 WORST = 3  # places that are named
 NEAR = 0.1  # mm
 FARTHEST = 10.0  # mm that runs may have left, or corrections had: a recording that is farther off is refused
@@ -154,20 +154,25 @@ def _places(t: Trajectory, rows: Indices, size: Array) -> list[str]:
     return words
 
 
-def next_lines(corrections: Corrections, before: Lessons | None, errors: RunErrors, smoothed: int) -> list[str]:
-    """What the next program asks for, and whether another run is worth it."""
-    out = [f"the next program asks for places up to {corrections.most * 1e3:.3f} mm beside the plan"]
+def next_lines(lessons: Lessons, before: Lessons | None, shown: Ints, smoothed: int) -> list[str]:
+    """What the next program asks for, and whether another run is worth it; shown: the beads that this run taught about."""
+    out = [f"the next program asks for places up to {lessons.corrections.most * 1e3:.3f} mm beside the plan"]
     if smoothed:
         out.append(f"corrections were smoothed until lines of the program could follow them (rounds: {smoothed})")
     if before is not None:
-        was, now = (
-            float(np.sqrt(np.square(each).sum(axis=1).mean())) * 1e3 for each in (before.left, errors.off[errors.known])
-        )
-        if now > WORTH * was:
+        again = np.intersect1d(before.corrections.bead[before.gain > 0.0], shown)
+        was, now = (_left(each, again) * 1e3 for each in (before, lessons))
+        if len(again) and now > WORTH * was:
             out.append(
                 f"hardly nearer than before, place by place ({now:.3f} mm rms, {was:.3f}): runs have little left to teach"
             )
     return out
+
+
+def _left(lessons: Lessons, beads: Ints) -> float:
+    """How far off the plan the best runs were at places of some beads, root mean square [m]; 0 without any."""
+    left = lessons.left[np.isin(lessons.corrections.bead, beads)]
+    return float(np.sqrt(np.square(left).sum() / max(len(left), 1)))
 
 
 def write_picture(plan: Plan, errors: RunErrors, corrections: Corrections, run: int, target: Path) -> None:
