@@ -38,7 +38,15 @@ from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.player.executed import followed
-from planner.feedback.learn_command import Learned, _not_followed, language_of, learned_plan, main, ran_plan
+from planner.feedback.learn_command import (
+    TRIES,
+    Learned,
+    _not_followed,
+    language_of,
+    learned_plan,
+    main,
+    ran_plan,
+)
 from planner.feedback.learn_fit import (
     Lessons,
     RunErrors,
@@ -55,7 +63,7 @@ from planner.feedback.learn_track import recorded_way
 from planner.feedback.planned import PlannedWith, planned_problem, planned_with
 from planner.feedback.recordings import read_log
 from planner.motion.as_run import FADE, Corrections, displacements, read_corrections
-from planner.plan import Nearer, Plan, Trajectory
+from planner.plan import Check, Nearer, Plan, Trajectory
 from planner.plan.seal import changed_since, sealed
 from planner.planning.clearance import keeping
 from planner.planning.pipeline import as_it_is, solve
@@ -572,6 +580,29 @@ def test_a_program_that_cannot_be_safe_is_not_written(plan: Plan, tmp_path: Path
     spoilt = replace(plan, problem=plan.problem.model_copy(update={"collision": narrow}))
     learned = learned_plan(spoilt, lessons, errors, MOST, language_of(plan), Stages())
     assert "asked robots clear of each other and of fixtures" in {check.name for check in learned.failed}
+
+
+def test_smoothing_leaves_tries_for_smaller_corrections(plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines that stay hasty whatever is smoothed, and corrections that are safe when they are a quarter as large."""
+    t = plan.trajectory
+    errors = toy_errors(t, np.tile([0.0, 0.0, 2e-4], (len(t), 1)))
+    lessons, safe = next_lessons(t, errors, None, MOST), iter((False, False, True))
+
+    def verified(asked: Plan, _: Stages) -> Plan:
+        sample = int(np.argmax(t.deposit))
+        return replace(asked, checks=(Check("asked clear", 1.9, 2.0, "mm", next(safe), "", least=True, sample=sample),))
+
+    for name, instead in {
+        "_hasty": lambda asked, _: [] if asked.asked is None else [5],
+        "_differences": lambda *_: [],
+        "asked_of": lambda *_: t,
+        "with_asked": verified,
+    }.items():
+        monkeypatch.setattr(f"planner.feedback.learn_command.{name}", instead)
+    learned = learned_plan(plan, lessons, errors, MOST, "rapid", Stages())
+    assert learned.smoothed == TRIES - 1 and not learned.failed and next(safe, None) is None
+    shift, before = (np.linalg.norm(each.corrections.shift, axis=1) for each in (learned.lessons, lessons))
+    assert shift[0] == pytest.approx(0.25 * before[0], rel=1e-3) and shift[-1] == pytest.approx(before[-1])
 
 
 @pytest.mark.parametrize(

@@ -72,7 +72,7 @@ from planner.report.summary import print_summary
 
 RESULTS_BY = "learn"  # whose files they are, in manifests
 MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
-TRIES = 12  # smoother and smaller corrections, until they hold
+TRIES = 12  # smoother corrections at most, and as many smaller ones, until they hold
 SMOOTHER = 0.6  # of what corrections of a bead may bend, from try to try
 FORETOLD = 3  # runs
 TOO_NOISY = 0.5e-3  # m of one recorded tip: with more, corrections would be noise
@@ -246,13 +246,13 @@ def learned_plan(
     quicker than those of the program without."""
     failed: tuple[Check, ...] = ()
     corrections = lessons.corrections
-    smoothed, bend = 0, most_bent(corrections, len(plan.toolpath.beads))
+    smoothed, smaller, bend = 0, 0, most_bent(corrections, len(plan.toolpath.beads))
     usual = len(_hasty(replace(plan, asked=None), language))
     laid = np.unique(plan.trajectory.bead[plan.trajectory.deposit]).astype(np.int64)
     with tempfile.TemporaryDirectory() as folder:
         spec = AsRunSpec.model_construct(corrections=Path(folder) / CORRECTIONS, most=most)
         plan = replace(plan, problem=plan.problem.model_copy(update={"as_run": spec}))
-        for last in (*(False,) * (TRIES - 1), True):
+        while max(smoothed, smaller) < TRIES:
             write_lessons(replace(lessons, corrections=corrections), plan, errors, spec.corrections)
             with stages.stage("export"):
                 asked = replace(plan, asked=asked_of(plan.problem, plan.cell, plan.toolpath, plan.trajectory))
@@ -266,7 +266,7 @@ def learned_plan(
                 smoothed += 1
                 continue
             hasty = _hasty(asked, language)
-            if len(hasty) > usual and not last:
+            if len(hasty) > usual and smoothed < TRIES - 1:
                 for sample in hasty:
                     corrections = evened_around(corrections, *_place(plan, sample), EVENED)
                 smoothed += 1
@@ -277,6 +277,7 @@ def learned_plan(
                 return Learned(asked, replace(lessons, corrections=corrections), smoothed, ())
             for check in failed:
                 corrections = less_around(corrections, *_place(plan, check.sample), AROUND)
+            smaller += 1
     return Learned(plan, replace(lessons, corrections=corrections), smoothed, failed)
 
 
