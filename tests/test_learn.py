@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,7 @@ from planner.feedback.learn_command import (
     TRIES,
     Learned,
     _not_followed,
+    foretold,
     language_of,
     learned_plan,
     main,
@@ -556,6 +558,36 @@ def test_the_model_of_a_controller_teaches_the_program_of_the_first_run(
     corrections = read_corrections(out / "corrections.csv", plan.toolpath, WRONG)
     assert (read_lessons(problem, corrections).gain == 0.0).all()
     assert next_name(problem) == "small_run_2"
+
+
+@pytest.mark.parametrize("unsafe", [1, 2, 3])
+def test_what_a_foretold_run_would_teach_is_left_out_where_that_is_not_safe(
+    unsafe: int, plan: Plan, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """unsafe: which of the foretold runs teaches what breaks a check"""
+    errors = toy_errors(plan.trajectory, np.tile([0.0, 0.0, 2e-4], (len(plan.trajectory), 1)))
+    broken = Check("asked clear", 1.9, 2.0, "mm", False, "somewhere", least=True)
+    made: list[Learned] = []
+
+    def tried(own: Plan, lessons: Lessons, *_: object) -> Learned:
+        made.append(Learned(own, lessons, 0, (broken,) if len(made) + 1 == unsafe else ()))
+        return made[-1]
+
+    rapid = SimpleNamespace(write=lambda _: {}, program=lambda *_: None, plan=lambda _: SimpleNamespace(cell=plan.cell))
+    for name, instead in {
+        "LANGUAGES": {"rapid": rapid},
+        "play": lambda *_: None,
+        "executed_run": lambda *_: SimpleNamespace(t=None, q=None),
+        "way_along": lambda *_: None,
+        "errors_of": lambda *_: errors,
+        "learned_plan": tried,
+    }.items():
+        monkeypatch.setattr(f"planner.feedback.learn_command.{name}", instead)
+    learned, first = foretold(plan, MOST, Stages())
+    assert len(made) == unsafe and first is errors
+    assert learned.failed == ((broken,) if unsafe == 1 else ())
+    assert learned.lessons.corrections is made[max(unsafe - 2, 0)].lessons.corrections
+    assert ("would teach next is not safe, and is left out: asked clear" in capsys.readouterr().out) == (unsafe > 1)
 
 
 def recorded_forecast(plan: Plan) -> dict[str, Any]:

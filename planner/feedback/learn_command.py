@@ -184,7 +184,11 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
         if run == FORETOLD:
             break
         lessons = next_lessons(plan.trajectory, errors, lessons, most)
-        learned = learned_plan(plan, lessons, errors, most, language, stages)
+        tried = learned_plan(plan, lessons, errors, most, language, stages)
+        if tried.failed and learned is not None:
+            print(f"what that would teach next is not safe, and is left out: {in_words(tried.failed)}", flush=True)
+            break
+        learned = tried
         if learned.failed:
             break
         lessons = learned.lessons
