@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmarks.recordings import Recording, TrueRobot, commands, recorded, write_recording
 from planner.feedback.identify_delay import fit_delay
-from planner.feedback.identify_fit import fit_joints
+from planner.feedback.identify_fit import _limit, fit_joints
 from planner.feedback.identify_match import match
 from planner.feedback.identify_profile import MotionLimits, move_profile
 from planner.feedback.identify_program import (
@@ -151,6 +151,20 @@ def test_braking_that_differs_is_found_and_the_lesser_told(tmp_path: Path) -> No
     assert fit.braking is not None and fit.braking[0] == pytest.approx(0.7 * plain.acceleration[4], rel=0.01)
     assert fit.acceleration.value == pytest.approx(0.7 * plain.acceleration[4], rel=0.01)
     assert fit.jerk.value == pytest.approx(truth.jerk[4], rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("braking", "error", "told"),
+    [(525.0, 0.03, 525.0), (525.0, 0.057, None), (745.0, 0.057, 750.0), (400.0, 0.6, 750.0), (900.0, 0.057, 750.0)],
+)
+def test_the_greater_limit_is_not_told_where_the_lesser_is_less_but_not_well_known(
+    braking: float, error: float, told: float | None
+) -> None:
+    """A jerk of 750 ±4 % in speeding up, beside one in braking: what may as well be noise takes nothing away."""
+    values, errors = np.array([750.0, braking]), np.array([0.04, error])
+    found = _limit(values, errors, np.ones(2, dtype=np.bool_), 1e4, None)
+    assert found.told == (told is not None)
+    assert found.value == pytest.approx(told or 525.0 * np.exp(-2.0 * 0.057))
 
 
 @pytest.mark.slow

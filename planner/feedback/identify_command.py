@@ -288,7 +288,7 @@ def _note_lines(problem: Problem, cell: Cell, fits: Sequence[JointFit]) -> list[
         if fit.braking is not None:
             out.append(
                 f"{name} brakes otherwise than it speeds up, by {fit.braking[0]:.4g} with a jerk of {fit.braking[1]:.4g}: "
-                "the lesser are taken"
+                "the lesser are taken, where they are told"
             )
         for what, found in zip(QUANTITIES, fit.limits, strict=True):
             if found.spread[1] > found.spread[0]:

@@ -516,12 +516,20 @@ def _reached(profile: MoveProfile) -> tuple[bool, bool, bool]:
 
 
 def _limit(values: Array, errors: Array, reached: Flags, top: float, asked: float | None) -> IdentifiedLimit:
-    """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached."""
+    """The lesser of the limits (1 or 2, of speeding up and braking) that are known; or what was reached.
+
+    None is told where one that is not known well enough is less all the same, with 95 % confidence: what is told must not be
+    more than the robot has.
+    """
     known = reached & (errors < KNOWN)
     if not known.any():
         return IdentifiedLimit(top, float("nan"), (top, top), asked)
     k = int(np.argmin(np.where(known, values, np.inf)))
     value = float(values[k])
+    less = reached & ~known & (np.log(values) + 2.0 * errors < np.log(value))
+    if less.any():
+        least = min(top, float((values * np.exp(-2.0 * errors))[less].min()))
+        return IdentifiedLimit(least, float("nan"), (least, least), asked)
     return IdentifiedLimit(value, value * max(float(errors[k]), LEAST_ERROR), (value, value), asked)
 
 
