@@ -731,9 +731,12 @@ def test_a_saved_plan_is_taken_unless_its_problem_was_changed_since(
         ran_plan(saved, (), None, Stages())
 
 
-def taught_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: Callable[[], object]) -> list[str]:
-    """Arguments of the command, for a recording that teaches nothing; something happens while it is looked at."""
-    own = replace(small_plan(), problem=load_problem(write_small(folder)))
+def taught_nothing(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: Callable[[], object], *changes: str
+) -> list[str]:
+    """Arguments of the command, for a recording that teaches nothing; something happens while it is looked at. changes: what was
+    set when it was planned."""
+    own = replace(small_plan(), problem=load_problem(write_small(folder), changes))
     none, n = np.zeros((0, 3)), len(own.trajectory)
     lessons = Lessons(Corrections(np.zeros(0, dtype=np.int64), np.zeros(0), none), none, none, np.zeros(0))
     errors = RunErrors(np.zeros((n, 3)), np.zeros(n, dtype=bool), np.full(n, np.nan), 0.0)
@@ -783,6 +786,20 @@ def test_what_is_there_of_a_program_that_could_not_be_written_is_told(
     told = capsys.readouterr().err
     assert words in told and "small_run_2.yaml and its corrections.csv are there, their program is not" in told
     assert (tmp_path / "out" / "small_run_2.yaml").is_file()
+
+
+def test_a_name_that_was_set_is_not_that_of_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Problem] = []
+
+    def ended(own: Plan, *_: object) -> None:
+        written.append(own.problem)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planner.feedback.learn_command.write_files", ended)
+    given = taught_nothing(tmp_path, monkeypatch, lambda: None, "name=fast", "process.travel_speed_mm_s=150")
+    assert main(given) == 130
+    assert written[0].name == "fast_run_2" and next_name(written[0]) == "fast_run_3"
+    assert written[0].overrides == ("process.travel_speed_mm_s=150",)
 
 
 TAUGHT = {

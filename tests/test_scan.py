@@ -23,7 +23,7 @@ from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
 from planner.feedback.height_map import HeightMap, height_map, planned_top
 from planner.feedback.learn_telling import write_problem as write_taught
-from planner.feedback.scan_command import in_part_frame, main, scanned_plan
+from planner.feedback.scan_command import ScannedPlan, in_part_frame, main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
 from planner.feedback.scan_telling import (
     bound_of,
@@ -603,6 +603,29 @@ def test_wrong_input_writes_nothing(
     assert main(given_) == EXIT_INPUT
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_was_set_is_not_that_of_the_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = load_problem("hemisphere_honeycomb", (*PRINT, *QUICK, "name=fast"))
+    solved_with: list[list[str]] = []
+
+    def solved_by(given: list[str]) -> int:
+        solved_with.append(given)
+        return EXIT_VERIFIED
+
+    for name, instead in {
+        "scanned_plan": lambda *_: ScannedPlan(problem, drawn()[1]),
+        "_measured": lambda *_: (mapped(), None),
+        "write_picture": lambda *_: None,
+        "solve_main": solved_by,
+    }.items():
+        monkeypatch.setattr(f"planner.feedback.scan_command.{name}", instead)
+    monkeypatch.chdir(tmp_path)
+    assert main(["hemisphere_honeycomb", "cloud.npy", "--after-layer", "2"]) == EXIT_VERIFIED
+    (given,) = solved_with
+    assert Path(given[0]) == Path("out/fast_scanned_2/fast_after_2.yaml")
+    assert "layers.count=4" in given and "name=fast" not in given
+    assert load_problem(given[0], given[2::2]).name == "fast_after_2"
 
 
 @pytest.mark.parametrize("option", [["--share", "0.7"], ["--fit", "x,w"], ["--smoothing-mm", "0"], ["--unit", "in"]])

@@ -71,6 +71,7 @@ from planner.problem.yaml_file import Override
 from planner.report.summary import print_summary
 
 RESULTS_BY = "learn"  # whose files they are, in manifests
+WRITTEN = ("as_run", "name")  # of which the new problem file alone tells, whatever was set besides
 MOST = 1e-3  # m that a program may ask for beside the plan, where nobody says
 TRIES = 12  # smoother corrections at most, and as many smaller ones, until they hold
 SMOOTHER = 0.6  # of what corrections of a bead may bend, from try to try
@@ -120,7 +121,7 @@ def _run(options: argparse.Namespace) -> int:
             text = write_problem(problem, name, most, folder)
             check_unchanged(problem, as_near(problem.changed(()), plan.nearer))
             (fresh / target.name).write_text(text, encoding="utf-8")
-        problem = load_problem(target, absolute_overrides(problem))
+        problem = load_problem(target, [each for each in absolute_overrides(problem) if each.path[0] not in WRITTEN])
         settings = learned.plan.settings | {"overrides": list(problem.overrides)}
         done = sealed(replace(learned.plan, problem=problem, settings=settings))
         with ExitStack() as unless_done:

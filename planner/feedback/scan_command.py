@@ -48,7 +48,7 @@ from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
 
 RESULTS_BY = "scan"  # whose files they are, in manifests
-WRITTEN = ("as_printed", "as_run")  # sections of which the new problem file alone tells
+WRITTEN = ("as_printed", "as_run", "name")  # of which the new problem file alone tells, whatever was set besides
 SHARE = 0.3  # of a bead's height: with it a bead holds below and is not pressed aside above
 SMOOTHED, SMOOTHED_MOST = 5.0, 15e-3  # widths of a bead, and m at most: a few cells, over which a print hardly bends
 FRAMES = ("part", "plate", "world")  # of clouds
