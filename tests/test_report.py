@@ -29,7 +29,7 @@ from planner.problem import Problem, load_problem
 from planner.problem.fields import described
 from planner.report import places
 from planner.report.charts import joint_charts, time_charts
-from planner.report.extruder import even_flow, flow_note
+from planner.report.extruder import even_flow, events_words, flow_note
 from planner.report.failure import write_failure_report
 from planner.report.html import _command, _header, write_report
 from planner.report.judged import DEAREST, HEADLINES, MARGINS, judged
@@ -37,7 +37,7 @@ from planner.report.places import MOST_MARKS, MOST_ROWS, check_advice, worst_sam
 from planner.report.scene import plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
-from planner.report.wording import FARTHEST, GROUPS, METRICS, distance, duration, number, with_ratios
+from planner.report.wording import FARTHEST, GROUPS, METRICS, distance, duration, number, significant, with_ratios
 from planner.verify.checks import FAR
 
 MB = 1_000_000
@@ -332,7 +332,7 @@ def test_the_note_on_flow_is_true_of_every_motor() -> None:
     assert follows in demand and "in proportion to the nozzle's real speed" in demand
     plan = extruder_plan(motor="on_off")
     plan.metrics["over_extruded_mm3"] = 12.34
-    assert follows not in flow_note(plan) and "gets more than it holds there: 12.3 mm³ in all" in flow_note(plan)
+    assert follows not in flow_note(plan) and "gets more than it holds there: 12.34 mm³ in all" in flow_note(plan)
     cut = extruder_plan(section="fibre", events=(Event("cut", 0, 3.0, 3.0, 0.0),))
     assert "as fast as the nozzle really moves" in flow_note(cut) and "drawn, not pushed" in flow_note(cut)
     assert "lags the motor by 0.05 s" in flow_note(extruder_plan(lag=0.05))
@@ -551,6 +551,28 @@ def test_terminal_and_page_have_the_same_names(tmp_path: Path, capsys: pytest.Ca
 )  # fmt: skip
 def test_numbers_as_people_read_them(value: float | None, digits: int, text: str) -> None:
     assert number(value, digits) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(12345.6, "12346"), (99999.7, "100000"), (-20000.0, "−20000"), (1234.56, "1235"), (0.012346, "0.01235"),
+     (2e-7, "2e−07"), (3e8, "3e+08"), (float("inf"), "∞")],
+)  # fmt: skip
+def test_significant_digits_have_no_needless_exponent(value: float, text: str) -> None:
+    assert significant(value) == text
+
+
+def test_much_material_is_told_without_exponents() -> None:
+    events = (
+        Event("cool", 0, 0.0, 12345.0, 0.0),
+        Event("retract", 0, 0.0, 1.0, -12.0),
+        Event("purge", -1, 0.0, 1.0, 15.5),
+    )
+    told = "1 x cool (12345 s); 1 x retract (1 s, -12000 mm); 1 x purge (1 s, +15500 mm)"
+    assert events_words(events) == f"extruder besides laying down: {told}"
+    plan = extruder_plan(motor="on_off")
+    plan.metrics["over_extruded_mm3"] = 1234.56
+    assert "1\u202f234.56 mm³ in all" in flow_note(plan)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from planner.base.arrays import Array
 from planner.plan.plan import filament_areas, used
 from planner.report.templates import render
 from planner.report.thinning import stretches
-from planner.report.wording import counted
+from planner.report.wording import counted, number, significant
 
 if TYPE_CHECKING:
     from planner.plan import Event, Plan, Trajectory
@@ -64,7 +64,7 @@ def materials_words(plan: Plan) -> list[str]:
     """A line for each material that has a name: its tool, its beads, and what it takes."""
     return [
         f"material {each.material.name}: tool T{each.material.tool}, {counted(each.beads, 'bead')}, "
-        f"{each.volume * 1e9:.4g} mm³ laid down, {each.filament * 1e3:.4g} mm of filament"
+        f"{significant(each.volume * 1e9)} mm³ laid down, {significant(each.filament * 1e3)} mm of filament"
         for each in used(plan)
     ]
 
@@ -79,8 +79,9 @@ def events_words(events: Sequence[Event]) -> str:
     """One line: how often each kind occurs, how long it takes and what filament it moves, in all; empty without any."""
     each = []
     for kind in kinds_of(events):
-        filament = f", {kind.amount * 1e3:+.4g} mm" if kind.amount else ""
-        each.append(f"{kind.count} x {kind.kind} ({kind.time:.4g} s{filament})")
+        sign = "+" if kind.amount > 0.0 else "-"
+        filament = f", {sign}{significant(abs(kind.amount) * 1e3)} mm" if kind.amount else ""
+        each.append(f"{kind.count} x {kind.kind} ({significant(kind.time)} s{filament})")
     return f"extruder besides laying down: {'; '.join(each)}" if each else ""
 
 
@@ -102,7 +103,7 @@ def flow_note(plan: Plan) -> str:
         follows = (
             "A motor that follows the speed (process.extruder.motor: e_axis or speed_demand) would not give it that."
         )
-        return f"{note}: {over:.3g} mm³ in all. {follows}" if over is not None else f"{note}."
+        return f"{note}: {number(over, 2)} mm³ in all. {follows}" if over is not None else f"{note}."
     if process.section == "fibre":
         note = "Fibre is laid exactly as fast as the nozzle really moves."
     elif process.extruder.motor == "speed_demand":

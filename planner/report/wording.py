@@ -189,6 +189,8 @@ GROUPS = {
     ),
 }
 
+WHOLE = 1e7  # numbers below that are written without an exponent
+
 CHECK_NAMES = str.maketrans("_", " ")
 
 
@@ -233,10 +235,11 @@ def resumed_words(plan: Plan) -> str:
 
 
 def significant(value: float, digits: int = 4) -> str:
-    """A number with `digits` significant digits, without a needless exponent."""
+    """A number with `digits` significant digits, below ten million with all before its point: without a needless exponent."""
     if math.isnan(value) or math.isinf(value):
         return number(value, 0)
-    return f"{value:.{digits}g}".replace("-", "−")
+    text = f"{value:.{digits}g}"
+    return (f"{value:.0f}" if "e+" in text and abs(value) < WHOLE else text).replace("-", "−")
 
 
 def duration(seconds: float | None) -> str:
