@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,6 +13,7 @@ from planner.view.machine import (
     LONGEST_WAIT,
     MOST_ENTRIES,
     QUIET_TIME,
+    ROWS,
     Again,
     Beside,
     Broke,
@@ -31,7 +33,9 @@ from planner.view.machine import (
     Tick,
     Touched,
     View,
+    difference,
     step,
+    verdict,
 )
 from planner.view.server import snapshot
 
@@ -145,6 +149,16 @@ def test_panes_are_solved_one_after_the_other_and_compared() -> None:
     alone, effects = after(view, Beside(None), Beside("ladder"))
     assert effects == [], "what was solved with the same files is at hand"
     assert alone.panes == ("sqp", "ladder")
+
+
+@pytest.mark.parametrize(
+    ("value", "other", "told"),
+    [(12.451, 12.449, "+0.1"), (1.06, 0.94, "+0.2"), (0.94, 1.06, "−0.2"), (1.04, 0.96, "0"), (-0.04, 0.04, "0")],
+)
+def test_differences_are_those_of_what_is_shown(value: float, other: float, told: str) -> None:
+    (row,) = (row for row in ROWS if row.key == "print_time_s")
+    assert difference(row, value, other) == told
+    assert (verdict(row, value, other) == "same") == (told == "0")
 
 
 def test_strategy_that_the_other_pane_shows_changes_places_with_it() -> None:

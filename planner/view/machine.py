@@ -43,6 +43,11 @@ def heading(row: MetricLabel) -> dict[str, str]:
     return {"label": row.label + unit}
 
 
+def rounded(row: MetricLabel, value: float) -> float:
+    """A figure in its unit, as it is shown."""
+    return round(value * row.scale, row.digits)
+
+
 def written(row: MetricLabel, value: float | None) -> str:
     """A figure in its unit's digits."""
     return NONE if value is None else f"{value * row.scale:.{row.digits}f}"
@@ -52,7 +57,7 @@ def verdict(row: MetricLabel, value: float | None, other: float | None) -> str:
     """How a value compares with another: "better", "worse", "same" to the digits shown, or "" where that says nothing."""
     if value is None or other is None:
         return ""
-    if written(row, value) == written(row, other):
+    if rounded(row, value) == rounded(row, other):
         return "same"
     if not row.better:
         return ""
@@ -60,12 +65,12 @@ def verdict(row: MetricLabel, value: float | None, other: float | None) -> str:
 
 
 def difference(row: MetricLabel, value: float | None, other: float | None) -> str:
-    """How much a value lies above another, with its sign."""
+    """How much a value lies above another, with its sign, as both are shown."""
     if value is None or other is None:
         return NONE
-    if written(row, value) == written(row, other):
+    if rounded(row, value) == rounded(row, other):
         return "0"
-    return f"{(value - other) * row.scale:+.{row.digits}f}".replace("-", "\u2212")
+    return f"{rounded(row, value) - rounded(row, other):+.{row.digits}f}".replace("-", "\u2212")
 
 
 # ----------------------------------------------------------------------------------------------------
