@@ -30,6 +30,7 @@ from planner.feedback.scan_telling import (
     drawn_name,
     layer_heights,
     layer_widths,
+    lines_of,
     remains,
     table_of,
     write_map,
@@ -469,6 +470,20 @@ def test_what_is_told() -> None:
     assert rounded[1] == "0.350–0.650" and float(rounded[2].split("–")[0]) == pytest.approx(low / own, abs=6e-3)
     assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
     assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
+
+
+def test_why_cells_are_interpolated_is_told() -> None:
+    n = len(mapped().measured)
+    measured, count, scatter = np.arange(n) > 2, np.full(n, 10), np.full(n, 0.05e-3)
+    count[0], scatter[1] = 3, 0.4e-3  # the third one has points that agree, and is left out all the same
+    found = replace(mapped(), measured=measured, count=count, scatter=scatter)
+    first, _, holes = lines_of(found, SCANNED)
+    assert f"measured by {10 * (n - 3)} points (10 in a cell)" in first
+    assert "interpolated: 3 cells (2 with fewer than 4 points that agree, 1 far off what lies around); " in holes
+    measured, count = np.arange(n) > 0, np.full(n, 10)
+    found = replace(mapped(), measured=measured, count=count, scatter=scatter)
+    assert "interpolated: 1 cells (1 far off what lies around); " in lines_of(found, SCANNED)[-1]
+    assert len(lines_of(replace(found, measured=np.ones(n, dtype=np.bool_)), SCANNED)) == 2
 
 
 @pytest.mark.parametrize("again", [False, True])

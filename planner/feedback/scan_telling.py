@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
-from planner.feedback.height_map import FEWEST, HeightMap
+from planner.feedback.height_map import FEWEST, SCATTER, HeightMap
 from planner.feedback.learn_telling import TAUGHT
 from planner.problem import Problem
 from planner.problem.fields import LONGEST_NAME
@@ -87,17 +87,23 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
 def lines_of(found: HeightMap, layer: int) -> list[str]:
     """What the map says, in words."""
     deviation = found.deviation[found.measured] * 1e3
-    holes = int((~found.measured).sum())
+    holes, disagree = ~found.measured, (found.count < FEWEST) | (found.scatter > SCATTER)
+    points = found.count[found.measured]
     low, middle, high = np.quantile(deviation, (0.0, 0.5, 1.0))
     out = [
-        f"top of layer {layer}: {len(found.measured)} cells, {found.covered:.1%} measured by {int(found.count.sum())} points "
-        f"({np.median(found.count[found.measured]):.0f} in a cell)",
+        f"top of layer {layer}: {len(found.measured)} cells, {found.covered:.1%} measured by {points.sum()} points "
+        f"({np.median(points):.0f} in a cell)",
         f"off by {low:+.3f} to {high:+.3f} mm, {middle:+.3f} in the middle; cells are {found.noise * 1e3:.3f} mm off the map "
         f"smoothed over {found.radius * 1e3:g} mm",
     ]
-    if holes:
+    if holes.any():
+        kinds = (
+            (holes & disagree, f"with fewer than {FEWEST} points that agree"),
+            (holes & ~disagree, "far off what lies around"),
+        )
+        reasons = [f"{own.sum()} {what}" for own, what in kinds if own.any()]
         out.append(
-            f"interpolated: {holes} cells with fewer than {FEWEST} points that agree; the farthest is "
+            f"interpolated: {holes.sum()} cells ({', '.join(reasons)}); the farthest is "
             f"{found.widest_hole * 1e3:.1f} mm from a measured one"
         )
     return out
