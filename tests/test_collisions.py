@@ -17,7 +17,7 @@ from planner.cell.solids import Body, packed, triangles_of
 from planner.collision.point_tree import solid_distance
 from planner.plan import TRAVEL
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify.bodies import CellBodies, CheckedBody
+from planner.verify.bodies import HEAD, CellBodies, CheckedBody, pairs
 from planner.verify.collision import check_start
 
 NOZZLE = "nozzle clear of part and print"
@@ -300,6 +300,25 @@ def test_8_the_head_and_the_own_upper_arm(tmp_path: Path) -> None:
     pair = {"head rod", "link_2 (upper arm)"}
     met = next(each for each in found.approaches if {each.a, each.b} == pair)
     assert met.distance <= deepest + 1e-3
+
+
+MOTOR = ", head: {motor: {box_mm: [6, 20, 48], centre_mm: [44, 0, -24]}}}"  # beside the wrist, 3 mm off it
+
+
+def test_8_the_head_and_the_link_before_the_flange(tmp_path: Path) -> None:
+    """Joint 6 turns a motor beside the wrist into an end of joint 5; the tube that is assumed lies before the wrist for good."""
+    problem, cell = scene(tmp_path, ELSEWHERE, MOTOR)
+    level = [0.0, 20, 10, 0, 0]
+    for turn, fails in ((90.0, True), (20.0, False)):
+        found = look(problem, cell, one_bead(), swing(cell, [*level, 0.0], [*level, turn]))
+        assert found.failed == ({ROBOTS} if fails else set())
+        if fails:
+            worst = found.approaches[0]
+            assert {worst.a, worst.b} == {"head motor", "link_5 (wrist joint)"} and worst.distance < -1e-3
+    problem, cell = scene(tmp_path, ELSEWHERE)
+    bodies = CellBodies.of(cell)
+    met = {bodies.things[pair.a].link for pair in pairs(bodies, 2e-3, 5e-3) if bodies.things[pair.b].kind == HEAD}
+    assert "link_4" in met and "link_5" not in met
 
 
 @pytest.mark.parametrize("carrier", [TABLE, BED], ids=["table", "bed"])

@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.cell.cell import Cell
-from planner.cell.robot import Robot
+from planner.cell.robot import Robot, joint_axis
 from planner.cell.solids import Body, Box, Capsule, Frustum, Mesh, Solid, triangles_of
 from planner.cell.urdf import link_frame
 from planner.verify.executed import joint_poses
@@ -19,6 +19,7 @@ from planner.verify.executed import joint_poses
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
 _TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined
 _CORNERS = 48  # of the polygon around a circle
+_ROUND = 0.01  # of a body's reach, by which its corners may lie beneath what is round
 
 
 @dataclass(frozen=True)
@@ -163,13 +164,15 @@ def pairs(bodies: CellBodies, nozzle: float, arm: float) -> tuple[Pair, ...]:
     """Pairs that can hit each other, with the distances that the head keeps, and links and fixtures [m].
 
     Neighbouring links touch, and those that a robot's file names. Bodies of one robot that are too near in whatever posture
-    belong together. What does not move in the part frame, where the nozzle lays its first layer, is looked at with part and
-    print.
+    belong together, and the flange parts most of a head from the link before it for good. What does not move in the part
+    frame, where the nozzle lays its first layer, is looked at with part and print.
     """
     found = []
     for i, j, above in _candidates(bodies):
         a, b = bodies.things[i], bodies.things[j]
         need = nozzle if HEAD in (a.kind, b.kind) else arm
+        if _apart_along_axis(bodies, a, b) >= need:
+            continue
         swing = bodies.swing(b, above) if _same(a, b) else bodies.swing(a) + bodies.swing(b)
         if swing.any():
             found.append(Pair(i, j, need, swing))
@@ -210,9 +213,9 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
     for i, a in enumerate(things):
         for j, b in enumerate(things):
             if _same(a, b):
-                carried = CARRIED in (a.kind, b.kind)
+                bolted = bool({HEAD, CARRIED} & {a.kind, b.kind})  # to a flange: no link, and beside none
                 named = a.kind == b.kind and b.link in a.beside
-                if a.joints < b.joints and (b.joints - a.joints > 1 or carried) and not named:
+                if a.joints < b.joints and (b.joints - a.joints > 1 or bolted) and not named:
                     yield i, j, a.joints
             elif i < j and HEAD in (a.kind, b.kind):
                 other = b if a.kind == HEAD else a
@@ -220,6 +223,26 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
                     yield i, j, 0
             elif i < j:
                 yield i, j, 0
+
+
+def _apart_along_axis(bodies: CellBodies, link: CheckedBody, head: CheckedBody) -> float:
+    """How far apart [m] the head and the link before the flange stay along the axis about which one turns against the other,
+    in whatever posture; of other pairs -inf."""
+    robot, k = bodies.cell.arm_robot, head.joints
+    if (link.kind, head.kind) != (ARM, HEAD) or link.joints != k - 1 or robot.slides[k - 1]:
+        return -np.inf
+    axis, T_link_joint = joint_axis(robot.model, k)[:3], robot.model.jointPlacements[k].homogeneous
+    turned = T_link_joint[:3, :3] @ axis
+    behind = (_corners(link) - T_link_joint[:3, 3]) @ turned
+    before = _corners(head) @ axis
+    gap = max(before.min() - behind.max(), behind.min() - before.max())
+    return float(gap) - _ROUND * (link.reach + head.reach)
+
+
+def _corners(thing: CheckedBody) -> Array:
+    """Corners (n, 3) of a thing's surface in its carrier's frame."""
+    T = thing.T_carrier_solid
+    return np.asarray(triangles_of(thing.solid)[0] @ T[:3, :3].T + T[:3, 3])
 
 
 def many_postures(cell: Cell) -> Array:
