@@ -15,6 +15,7 @@ from planner.base.errors import InputError
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, packed, triangles_of
 from planner.collision.point_tree import solid_distance
+from planner.collision.scene import obstacles_of
 from planner.plan import TRAVEL
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.bodies import HEAD, CellBodies, CheckedBody, pairs
@@ -319,6 +320,24 @@ def test_8_the_head_and_the_link_before_the_flange(tmp_path: Path) -> None:
     bodies = CellBodies.of(cell)
     met = {bodies.things[pair.a].link for pair in pairs(bodies, 2e-3, 5e-3) if bodies.things[pair.b].kind == HEAD}
     assert "link_4" in met and "link_5" not in met
+
+
+def test_8_what_comes_less_far_apart_than_is_asked_for(tmp_path: Path) -> None:
+    """The motor is 18 mm off the end of joint 5 at most, and never farther than 3 mm off the wrist."""
+    problem, cell = scene(tmp_path, ELSEWHERE, MOTOR)
+    bodies = CellBodies.of(cell)
+    found: dict[frozenset[str], float] = {}
+    for pair in pairs(bodies, 20e-3, 5e-3):
+        found[frozenset(bodies.things[k].name for k in (pair.a, pair.b))] = pair.need
+    keep = problem.collision.model_copy(update={"nozzle": 20e-3})
+    obstacles = obstacles_of(problem.model_copy(update={"collision": keep}), cell, one_bead())
+    table = obstacles.table
+    planned = {
+        frozenset(obstacles.bodies[k] for k in pair): need for pair, need in zip(table.pair, table.needed, strict=True)
+    }
+    apart, joined = (frozenset({"head motor", f"link_5 ({name})"}) for name in ("wrist joint", "wrist"))
+    assert found[apart] == planned[apart] == 5e-3
+    assert joined not in found and joined not in planned
 
 
 @pytest.mark.parametrize("carrier", [TABLE, BED], ids=["table", "bed"])

@@ -149,7 +149,8 @@ PART = "part or print"
 BLOCK = 1024  # postures along which what was far enough is remembered
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _SAME_MARGIN = 1e-4  # m: margins that differ by more are of different bodies
-_POSTURES = 64  # a pair of an arm's own bodies that touches at all of so many belongs together
+_POSTURES = 64  # a pair of an arm's own bodies that is too near at all of so many belongs together
+_BUILT = 5e-3  # m: so near, however much is asked for; the default of collision.arm_mm
 
 
 @dataclass(frozen=True)
@@ -413,13 +414,20 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
 
 
 def _without_joined(cell: Cell, table: Table, things: Sequence[CollisionBody]) -> Table:
-    """The table without pairs of the arm's own bodies that touch whatever the posture: they are built that way."""
+    """The table without pairs of the arm's own bodies that are too near whatever the posture: they are built that way. Those
+    that only cannot be as far apart as is asked for keep _BUILT."""
     limits = cell.limits
     low = np.where(limits.turns, np.maximum(limits.q_min, -np.pi), limits.q_min)
     high = np.where(limits.turns, np.minimum(limits.q_max, np.pi), limits.q_max)
     q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
+    links = ARM, HEAD
+    own = np.array([things[a].whose in links and things[b].whose in links for a, b in table.pair], dtype=np.bool_)
     lacking = np.zeros((_POSTURES, len(table.pair)), dtype=np.bool_)
     lacking_at(table, q, lacking)
-    own = np.array([things[a].whose in (ARM, HEAD) and things[b].whose in (ARM, HEAD) for a, b in table.pair])
-    kept = ~(lacking.all(axis=0) & own.astype(np.bool_).reshape(-1))
+    joined = own & lacking.all(axis=0)
+    if (table.needed[joined] > _BUILT).any():
+        table = with_fields(table, needed=np.where(joined, np.minimum(table.needed, _BUILT), table.needed))
+        lacking_at(table, q, lacking)
+        joined = own & lacking.all(axis=0)
+    kept = ~joined
     return with_fields(table, pair=table.pair[kept], needed=table.needed[kept])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import coal
@@ -18,6 +18,7 @@ from planner.verify.executed import joint_poses
 
 ARM, HEAD, HOLDER, CARRIED, FIXTURE = "arm", "head", "holder", "carried", "fixture"
 _TRIED = 64  # postures in which two bodies of one robot must all be too near, to count as joined
+BUILT = 5e-3  # m: what never comes farther apart belongs together; the default of collision.arm_mm
 _CORNERS = 48  # of the polygon around a circle
 _ROUND = 0.01  # of a body's reach, by which its corners may lie beneath what is round
 
@@ -252,15 +253,21 @@ def many_postures(cell: Cell) -> Array:
 
 
 def _without_joined(bodies: CellBodies, found: tuple[Pair, ...]) -> tuple[Pair, ...]:
-    """Without pairs of one robot that are too near in all of many postures: they are built that way."""
+    """Without pairs of one robot that are too near in all of many postures: they are built that way, whatever is asked for.
+    Those that only cannot be as far apart as is asked for keep BUILT."""
     poses = bodies.poses(many_postures(bodies.cell))
     distance = Distances(bodies)
-    return tuple(
-        pair
-        for pair in found
-        if not _same(bodies.things[pair.a], bodies.things[pair.b])
-        or any(distance.of(pair, poses[k]) >= pair.need for k in range(_TRIED))
-    )
+
+    def come_apart(pair: Pair, need: float) -> bool:
+        return any(distance.of(pair, poses[k]) >= need for k in range(_TRIED))
+
+    kept = []
+    for pair in found:
+        if not _same(bodies.things[pair.a], bodies.things[pair.b]) or come_apart(pair, pair.need):
+            kept.append(pair)
+        elif pair.need > BUILT and come_apart(pair, BUILT):
+            kept.append(replace(pair, need=BUILT))
+    return tuple(kept)
 
 
 class Distances:

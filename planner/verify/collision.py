@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,6 +27,7 @@ from planner.problem import Problem
 from planner.toolpath.bead import Toolpath
 from planner.verify.bodies import (
     ARM,
+    BUILT,
     CARRIED,
     FIXTURE,
     HEAD,
@@ -97,18 +98,22 @@ def print_pairs(bodies: CellBodies, need: float, body: PrintBody) -> tuple[Print
 
 
 def _without_joined(bodies: CellBodies, found: tuple[PrintPair, ...], body: PrintBody) -> tuple[PrintPair, ...]:
-    """Without links of the robot that holds the part that are too near to it in all of many postures, before the print."""
+    """Without links of the robot that holds the part that are too near to it in all of many postures, before the print; as
+    `pairs` has it of one robot's bodies."""
     if not any(bodies.things[pair.a].kind == HOLDER for pair in found):
         return found
     q = many_postures(bodies.cell)
     now, poses = np.zeros(len(q)), bodies.poses(q)
-    looks = _Sweep(bodies, found, q, body, now)
-    return tuple(
-        pair
-        for pair in found
-        if bodies.things[pair.a].kind != HOLDER
-        or looks.from_print(pair, poses, np.arange(len(q)), now)[0].max() >= pair.need
-    )
+    looks, kept = _Sweep(bodies, found, q, body, now), []
+    for pair in found:
+        need = pair.need
+        if bodies.things[pair.a].kind == HOLDER:
+            most = float(looks.from_print(pair, poses, np.arange(len(q)), now)[0].max())
+            need = need if most >= need else min(need, BUILT)
+            if most < need:
+                continue
+        kept.append(replace(pair, need=need))
+    return tuple(kept)
 
 
 def sweep(bodies: CellBodies, pairs: Sequence[Pair | PrintPair], q: Array, body: PrintBody, now: Array) -> Swept:
