@@ -421,6 +421,11 @@ CORRUPTED: dict[str, tuple[Callable[[Trajectory, Plan], Trajectory], set[str]]] 
     "another axis": (leant, {"asked as learned", "asked off the plan"}),
     "other times": (lambda t, own: replace(t, t=t.t + 0.001), {"asked as learned"}),
     "other flow": (lambda t, own: replace(t, flow=1.1 * t.flow), {"asked as learned"}),
+    "another tip in the program": (lambda t, own: replace(t, tip=t.tip + 1e-3 * t.axis), {"asked as learned"}),
+    "another orientation in the program": (
+        lambda t, own: replace(t, quat=t.quat[:, ::-1].copy()),
+        {"asked as learned"},
+    ),
     "beyond a joint's range": (beyond_range, {"asked joint range", "asked joint velocity"}),
     "the plan itself": (lambda t, own: own.trajectory, {"asked as learned"}),
 }

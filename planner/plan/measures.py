@@ -508,8 +508,9 @@ CHECKS: dict[str, Measure] = {
     "asked as learned": Measure(
         "of what may differ",
         "what programs ask for is the plan, displaced as the file of corrections says and not otherwise",
-        "the file read again; the asked joints' tip by Pinocchio within 0.02 mm on beads, its axis within 0.05 degrees of the "
-        "plan's everywhere, times, beads and flow the same",
+        "the file read again; the asked joints' tip by Pinocchio within 0.02 mm on beads, and everywhere within as much of the tip "
+        "that programs are written from; the nozzle within 0.05 degrees of the plan's; times, beads, flow, orientations and branches "
+        "the same",
         ONLY_LEARNED,
     ),
     "asked off the plan": Measure(

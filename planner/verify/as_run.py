@@ -24,10 +24,10 @@ from planner.verify.checks import EVERYWHERE, Findings, Judged, check_most, samp
 from planner.verify.collision import keep_apart, sweep_cell
 from planner.verify.executed import executed_motion
 from planner.verify.nozzle import beyond
-from planner.verify.verdict import joint_limits
+from planner.verify.verdict import joint_limits, rotations
 
 WITHIN = 2e-5  # m: the tip against what the file says, as against the path
-TURNED = np.radians(0.05)  # rad: its axis against the plan's
+TURNED = np.radians(0.05)  # rad: the nozzle's orientation against the plan's
 ASKED = "asked "  # before names of all checks here
 # What of the plan's own motion's is checked of the asked one, too; accelerations are the controller's own to plan.
 ALSO = {
@@ -38,7 +38,10 @@ ALSO = {
     "arm clear of part and print": "asked arm clear of part and print",
     "robots clear of each other and of fixtures": "asked robots clear of each other and of fixtures",
 }
-_SAME = ("dt", "t", "bead", "layer", "deposit", "s", "speed", "flow", "extruded", "feed", "events", "first_bead")
+_SAME = (
+    "dt", "t", "bead", "layer", "deposit", "s", "speed", "flow", "extruded", "feed", "events", "first_bead", "quat", "axis",
+    "branch",
+)  # fmt: skip
 _FIELDS = ("bead", "s_mm", "dx_mm", "dy_mm", "dz_mm")
 
 
@@ -110,12 +113,15 @@ def learned_shifts(path: Path, t: Trajectory) -> Array:
 
 
 def _as_learned(judged: Judged, planned: Trajectory, shift: Array) -> Check:
-    """On beads the asked tip is the plan's, displaced as the file says, its axis the same, and all else as planned."""
+    """On beads the asked tip is the plan's, displaced as the file says, the nozzle's orientation the same, and all else as
+    planned; tip and orientation that programs are written from are those of the asked joints."""
     asked = judged.trajectory
     other = [name for name in _SAME if not np.array_equal(getattr(asked, name), getattr(planned, name))]
     off = np.linalg.norm(judged.motion.tip - planned.tip - shift, axis=1)
-    leant = np.arccos(np.clip((judged.motion.axis * planned.axis).sum(axis=1), -1.0, 1.0))
-    worst = np.where(planned.deposit, np.maximum(off / WITHIN, leant / TURNED), leant / TURNED)
+    cosine = 0.5 * (np.einsum("nij,nij->n", judged.motion.rotation, rotations(planned.quat)) - 1.0)
+    turned = np.arccos(np.clip(cosine, -1.0, 1.0))
+    said = np.linalg.norm(judged.motion.tip - asked.tip, axis=1)
+    worst = np.maximum(np.where(planned.deposit, np.maximum(off, said), said) / WITHIN, turned / TURNED)
     found = check_most(asked, "asked as learned", worst, 1.0, "of what may differ")
     return replace(found, ok=False, where=f"other {', '.join(other)}") if other else found
 

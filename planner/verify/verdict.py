@@ -167,7 +167,7 @@ def _records(judged: Judged) -> Findings:
     for rows in _blocks(len(t)):
         tip = np.linalg.norm(motion.tip[rows] - t.tip[rows], axis=1)
         axis = np.linalg.norm(motion.axis[rows] - t.axis[rows], axis=1)
-        rotation = _worst(np.abs(motion.rotation[rows] - _rotations(t.quat[rows])).reshape(len(tip), 9))
+        rotation = _worst(np.abs(motion.rotation[rows] - rotations(t.quat[rows])).reshape(len(tip), 9))
         off[rows] = np.maximum(np.maximum(tip, axis), rotation)
     checks = [check_most(t, "recorded poses", off * 1e3, RECORD_TOLERANCE * 1e3, "mm")]
     if judged.cell.spherical:  # for other wrists no file states a branch
@@ -452,7 +452,7 @@ def _worst(values: Array) -> Array:
     return np.asarray(reduce(np.maximum, values.T))
 
 
-def _rotations(quat: Array) -> Array:
+def rotations(quat: Array) -> Array:
     """Rotation matrices (n, 3, 3) of unit quaternions (n, 4), x y z w."""
     x, y, z, w = quat.T
     return np.stack(
