@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ from planner.problem.layers import KINDS
 from planner.report.summary import print_summary
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.verify.material import _as_named
 from planner.verify.verdict import verify
 
 MM = 1e-3
@@ -335,6 +337,34 @@ def test_a_change_that_is_given_less_time_than_it_takes(share: float) -> None:
     moving = (t.t > change.start + share * 2.0) & (t.t < change.start + 2.0)
     q[moving, 5] += 1e-7 * (np.arange(len(t)) % 2)[moving]
     assert REST in failed(replace(plan, trajectory=replace(t, q=q)))
+
+
+@pytest.mark.parametrize(
+    ("name", "part", "rest"),
+    [
+        ("naca0015_wing", ("support 2", "yellow_pla"), ("layer 9", "black_pla")),
+        ("saddle_ring", ("layer 1 infill 2", "core"), ("layer 1 wall 1", "shell")),
+    ],
+)
+def test_beads_of_another_material_than_the_layers_name(
+    name: str, part: tuple[str, str], rest: tuple[str, str]
+) -> None:
+    problem = load_problem(name)
+
+    def wrong(*beads: tuple[str, str]) -> list[float]:
+        made = [SimpleNamespace(name=called, material=material, layer=0) for called, material in beads]
+        judged: Any = SimpleNamespace(problem=problem, toolpath=SimpleNamespace(beads=made))
+        return [check.worst for check in _as_named(judged)]
+
+    assert wrong(part, rest) == [0.0]
+    assert wrong((part[0], rest[1]), (rest[0], part[1])) == [2.0]
+    assert wrong((part[0], rest[1]), rest) == [1.0]
+
+
+def test_layers_that_name_no_material_ask_for_none() -> None:
+    plan = two_materials()
+    judged: Any = SimpleNamespace(problem=plan.problem, toolpath=plan.toolpath)
+    assert not list(_as_named(judged))
 
 
 def test_a_change_without_its_purge() -> None:

@@ -451,6 +451,12 @@ CHECKS: dict[str, Measure] = {
         "time without motion; the limit is two samples",
         "process.materials are several",
     ),
+    "beads of the material asked for": Measure(
+        "beads that are not",
+        "each bead is of the material that the layers name, or that a wing's support or a mesh's infill names",
+        "beads of the toolpath, a support's and an infill's known by their names; lines around the first layer aside",
+        "process.materials are several, the layers or a part of them name one, and layers.source.tool_materials is not given",
+    ),
     "time of a layer": Measure(
         "s",
         "from a layer's beginning to the next one's passes the time that a layer takes at least",

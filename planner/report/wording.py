@@ -173,6 +173,7 @@ GROUPS = {
         "too much material in dips",
         "material fed by its own tool",
         "rest for a change of material",
+        "beads of the material asked for",
         "material deposited",
         "filament",
     ),

@@ -6,7 +6,7 @@ m^3, filament in m of its length.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,10 @@ from scipy.linalg import solve_banded
 from planner.base.arrays import Array
 from planner.plan import Check, Event, Trajectory
 from planner.plan.plan import NONE, filament_areas, selected
+from planner.problem.layers import GcodeLayersSpec
 from planner.problem.process import ProcessSpec
 from planner.toolpath.bead import Bead, Toolpath
-from planner.verify.checks import EVERYWHERE, SPEED_TOLERANCE, Findings, Judged, check_most, place
+from planner.verify.checks import EVERYWHERE, SPEED_TOLERANCE, Findings, Judged, check_most, lines_around, place
 
 Samples = NDArray[np.intp]
 
@@ -113,6 +114,7 @@ def extrusion(judged: Judged) -> Findings:
         checks.append(_as_long_as_its_bead(t, volumes, samples))
     if process.materials:
         checks += [_own_tool(list(process.materials), judged.toolpath, t), _changes(process, judged.toolpath, t)]
+        checks += _as_named(judged)
     metrics["flow_error_max"] = flow.worst
     if lag > 0.0:
         metrics["lag_zone_mm"] = float((t.speed * t.dt)[near & t.deposit].sum()) * 1e3
@@ -397,6 +399,27 @@ def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
             worst, where = missing, f"before bead {i}"
     limit = SAMPLES * t.dt
     return Check("rest for a change of material", worst, limit, "s missing", worst <= limit + INSTANT, where)
+
+
+def _as_named(judged: Judged) -> Iterator[Check]:
+    """The check that beads are of the material that the layers name; none where they name none, or the tools of a file do.
+
+    Beads of a wing's support and of a mesh's infill are known by their names. Lines around the first layer are of any.
+    """
+    layers, beads = judged.problem.layers, judged.toolpath.beads
+    parts = {mark: getattr(layers, part, None) for part, mark in (("support", "support "), ("infill", " infill "))}
+    named = {mark: part.material for mark, part in parts.items() if part is not None and part.material is not None}
+    by_tool = isinstance(layers, GcodeLayersSpec) and layers.source.tools is not None
+    if by_tool or (layers.material is None and not named):
+        return
+    own = layers.material or next(iter(judged.problem.process.materials))
+    wrong = [
+        i
+        for i in range(lines_around(judged.problem, judged.toolpath), len(beads))
+        if beads[i].material != next((named[mark] for mark in named if mark in beads[i].name), own)
+    ]
+    where = f"bead {wrong[0]}" if wrong else EVERYWHERE
+    yield Check("beads of the material asked for", float(len(wrong)), 0.0, "beads that are not", not wrong, where)
 
 
 def rest(t: Trajectory, event: Event, wait: float, time: float, laying: bool = False) -> float:
