@@ -367,6 +367,15 @@ def test_layers_that_name_no_material_ask_for_none() -> None:
     assert not list(_as_named(judged))
 
 
+def test_a_change_beside_home() -> None:
+    plan = two_materials()
+    t = plan.trajectory
+    (change,) = (event for event in t.events if event.kind == "change")
+    q = t.q.copy()
+    q[(t.t >= change.start) & (t.t <= change.start + 2.0 + 1.0), 0] += 0.1
+    assert REST in failed(replace(plan, trajectory=replace(t, q=q)))
+
+
 def test_a_change_without_its_purge() -> None:
     plan = two_materials()
     dry = with_events(plan, lambda event: None if event.kind == "purge" else event)

@@ -447,8 +447,8 @@ CHECKS: dict[str, Measure] = {
     ),
     "rest for a change of material": Measure(
         "s missing",
-        "robot and extruder rest for each change, and purge",
-        "time without motion; the limit is two samples",
+        "robot and extruder rest at home for each change, and purge there",
+        "time without motion, the arm's joints at home; the limit is two samples",
         "process.materials are several",
     ),
     "beads of the material asked for": Measure(

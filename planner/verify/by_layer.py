@@ -13,9 +13,8 @@ import numpy as np
 from planner.plan import Check, Event, Trajectory
 from planner.problem.by_layer import PauseSpec
 from planner.verify.checks import EVERYWHERE, Findings, Judged, check_least, drawn_name, lines_around
-from planner.verify.material import INSTANT, SAMPLES, rest
+from planner.verify.material import AT_HOME, INSTANT, SAMPLES, away_from_home, rest
 
-AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
 AMOUNT = 1e-9  # m of filament
 
 
@@ -91,10 +90,8 @@ def _order(judged: Judged) -> Check:
 
 def _missing(judged: Judged, event: Event, pause: PauseSpec) -> float:
     """How much [s] of a pause is missing."""
-    t, arm = judged.trajectory, len(judged.cell.arm)
-    first, last = np.searchsorted(t.t, event.start + np.array([INSTANT, pause.time - INSTANT]))
-    away = np.abs(t.q[first:last, :arm] - judged.cell.home[:arm]).max(initial=0.0)
-    if away > AT_HOME or _ends_behind(t, event):
+    t = judged.trajectory
+    if away_from_home(judged, event.start, pause.time) > AT_HOME or _ends_behind(t, event):
         return pause.time
     purged = sum(
         each.amount

@@ -34,6 +34,7 @@ FINE = 5e-3  # s between samples: what the motor does between them matters littl
 ZONE_SAMPLES = 2  # beyond the lag itself: when it began is known to a sample only
 STILL = 1e-9  # rad that a joint moves in a sample at most, and
 UNMOVED = 1e-12  # m of filament, where robot and extruder rest
+AT_HOME = 1e-6  # rad or m, by which the arm may rest beside home
 INSTANT = 1e-9  # s: as near as instants of events are known
 SAMPLES = 2  # that a rest may be shorter than it is: the samples do not tell when it begins and ends
 
@@ -113,7 +114,7 @@ def extrusion(judged: Judged) -> Findings:
     if process.section == "fibre":
         checks.append(_as_long_as_its_bead(t, volumes, samples))
     if process.materials:
-        checks += [_own_tool(list(process.materials), judged.toolpath, t), _changes(process, judged.toolpath, t)]
+        checks += [_own_tool(list(process.materials), judged.toolpath, t), _changes(judged)]
         checks += _as_named(judged)
     metrics["flow_error_max"] = flow.worst
     if lag > 0.0:
@@ -381,9 +382,10 @@ def _own_tool(names: list[str], toolpath: Toolpath, t: Trajectory) -> Check:
     return Check("material fed by its own tool", float(count), 0.0, "samples and events", count == 0, where)
 
 
-def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
-    """Wherever the material changes, robot and extruder rest for it, and the new material is purged."""
-    change, worst, where = process.change, 0.0, EVERYWHERE
+def _changes(judged: Judged) -> Check:
+    """Wherever the material changes, robot and extruder rest at home for it, and the new material is purged."""
+    toolpath, t, change = judged.toolpath, judged.trajectory, judged.problem.process.change
+    worst, where = 0.0, EVERYWHERE
     purges = [event for event in t.events if event.kind == "purge"]
     for i in range(t.first_bead + 1, len(toolpath.beads)):
         before, after = toolpath.beads[i - 1 : i + 1]
@@ -392,9 +394,12 @@ def _changes(process: ProcessSpec, toolpath: Toolpath, t: Trajectory) -> Check:
         found = [event for event in t.events if event.kind == "change" and event.bead == i]
         missing = change.time
         if len(found) == 1 and found[0].material == after.material:
-            purged = sum(event.amount for event in purges if event.bead == i and event.material == after.material)
-            missing = change.time - rest(t, found[0], change.wait, change.time)
-            missing += abs(found[0].duration - change.wait) + abs(purged - change.purge) / change.purge_speed
+            begin = found[0].start
+            due = [event for event in purges if event.bead == i and abs(event.start - begin - change.wait) < INSTANT]
+            purged = sum(event.amount for event in due if event.material == after.material)
+            lacking = abs(found[0].duration - change.wait) + abs(purged - change.purge) / change.purge_speed
+            if away_from_home(judged, begin, change.time) <= AT_HOME:
+                missing = change.time - rest(t, found[0], change.wait, change.time) + lacking
         if not missing <= worst:
             worst, where = missing, f"before bead {i}"
     limit = SAMPLES * t.dt
@@ -420,6 +425,13 @@ def _as_named(judged: Judged) -> Iterator[Check]:
     ]
     where = f"bead {wrong[0]}" if wrong else EVERYWHERE
     yield Check("beads of the material asked for", float(len(wrong)), 0.0, "beads that are not", not wrong, where)
+
+
+def away_from_home(judged: Judged, start: float, time: float) -> float:
+    """How far [rad or m] the arm's joints are from home at most in the `time` from `start` on [s]."""
+    t, arm = judged.trajectory, len(judged.cell.arm)
+    first, last = np.searchsorted(t.t, start + np.array([INSTANT, time - INSTANT]))
+    return float(np.abs(t.q[first:last, :arm] - judged.cell.home[:arm]).max(initial=0.0))
 
 
 def rest(t: Trajectory, event: Event, wait: float, time: float, laying: bool = False) -> float:
