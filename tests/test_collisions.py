@@ -408,3 +408,8 @@ def test_a_robot_without_bodies_is_said_not_to_be_checked(tmp_path: Path) -> Non
     found = look(problem, bare, one_bead(), swing(bare, a, b))
     assert f"not checked: {cell.arm_robot.name}, without bodies" in found.checks[ROBOTS].where
     assert found.checks[ROBOTS].ok
+    some = tuple(() if k in (3, 5) else bodies for k, bodies in enumerate(cell.arm_robot.bodies))
+    bare = replace(cell, arm_robot=replace(cell.arm_robot, bodies=some))
+    found = look(problem, bare, one_bead(), swing(bare, a, a))
+    told = f"not checked: what joint_3, joint_5 of {cell.arm_robot.name} carry, without bodies"
+    assert all(told in found.checks[name].where for name in (ARM, ROBOTS))

@@ -433,9 +433,15 @@ def _check(name: str, found: tuple[Approach, ...], need: float, t: Trajectory, u
 
 
 def _unknown(cell: Cell) -> str:
-    """Which robots have no bodies; empty if all have some."""
+    """Which robots have no bodies, and which joints of the others carry none; empty if all do."""
     robots = [robot for robot in (cell.arm_robot, cell.holder_robot) if robot is not None]
-    names = [robot.name for robot in robots if not any(robot.bodies)]
+    names = []
+    for robot in robots:
+        bare = [name for name, bodies in zip(robot.joint_names, robot.bodies[1:], strict=True) if not bodies]
+        if not any(robot.bodies):
+            names.append(robot.name)
+        elif bare:
+            names.append(f"what {', '.join(bare)} of {robot.name} carry" + ("" if len(bare) > 1 else "s"))
     return f"not checked: {' and '.join(names)}, without bodies" if names else ""
 
 
