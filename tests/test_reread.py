@@ -318,6 +318,15 @@ def test_obstacles_thirty_millimetres_too_low(name: str) -> None:
     assert failed(found(problem, toolpath, body=low)) == {OBSTACLES}
 
 
+def test_obstacles_beneath_wide_beads() -> None:
+    """Of beads 6 mm wide and half a millimetre high: what lies 3 mm deeper is not where they are."""
+    problem, toolpath = print_of("ball")
+    wide = replace(toolpath, beads=tuple(replace(bead, width=np.full(len(bead.s), 6e-3)) for bead in toolpath.beads))
+    sunk = [moved(bead, bead.points - 3e-3 * bead.normals) for bead in wide.beads]
+    assert OBSTACLES not in failed(found(problem, wide))
+    assert OBSTACLES in failed(found(problem, wide, body=print_body(replace(wide, beads=tuple(sunk)))))
+
+
 @pytest.mark.slow(keep=2)
 @pytest.mark.parametrize("name", ["ball", "bowl", "waves", "slope", "wrapped", "mesh", "scan", "waypoints", "gcode"])
 def test_a_print_a_millimetre_too_high(name: str) -> None:

@@ -322,9 +322,7 @@ def _whole(judged: Judged, places: Places, plane: Array, lines: Sequence[Array],
 def _obstacles(judged: Judged, places: Places) -> Check:
     """What is kept clear of is where beads are laid, and where the part is beneath the lowest layer."""
     some, beads, body = places.few(_SEEN), judged.toolpath.beads, judged.body
-    width, height = (
-        np.array([float(getattr(b, name).max()) for b in beads])[some.bead] for name in ("width", "height")
-    )
+    width, height, least = np.array([(b.width.max(), b.height.max(), b.height.min()) for b in beads])[some.bead].T
     thing = np.searchsorted(body.first, body.tree.number, side="right") - 1
     number = np.array([_bead_of(name) for name in body.names])[thing]
     laid = number >= 0
@@ -332,7 +330,10 @@ def _obstacles(judged: Judged, places: Places) -> Check:
     if laid.any():
         apart = cKDTree(np.column_stack([body.tree.points[laid], number[laid]]))  # beads are 1 m apart from each other
         middle = judged.motion.tip[some.sample] - 0.5 * height[:, None] * some.up
-        off = apart.query(np.column_stack([middle, some.bead]))[0] - np.maximum(width, height)
+        # a ball is no farther from a bead's middle line than 0.8 of its width or height, whichever is less
+        lean = height * np.sin(0.5 * judged.problem.process.cones.tilt)
+        room = np.minimum(width, height) + 0.5 * (height - least) + lean
+        off = apart.query(np.column_stack([middle, some.bead]))[0] - room
     part = np.array([name == PART for name in body.names])[thing]
     lowest = some.layer == min(bead.layer for bead in beads)
     if part.any() and lowest.any():
