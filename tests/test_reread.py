@@ -508,6 +508,21 @@ def test_a_scarf_is_read_as_level_as_it_is_laid(tmp_path: Path) -> None:
     assert {DRAWN, LEFT} <= {check.name for check in findings.checks} and not failed(findings)
 
 
+def test_the_lowest_layers_of_a_file_are_whole(tmp_path: Path) -> None:
+    """Without names of features nobody knows what must be printed, which is said, as of a print that is resumed."""
+    (tmp_path / "small.gcode").write_text(GCODE + "\n")
+    base = BASE.replace(", height_mm: 0.5", "")
+    (tmp_path / "p.yaml").write_text(base + PRINTS["gcode"].replace("}}", "}, count: 1}"))
+    problem = load_problem(tmp_path / "p.yaml")
+    toolpath = build_toolpath(problem)
+    assert not failed(found(problem, toolpath))
+    assert LEFT in failed(found(problem, toolpath, list(toolpath.beads[:-1])))
+    (tmp_path / "small.gcode").write_text(GCODE.replace(";TYPE:Perimeter\n", "") + "\n")
+    for first, why in ((0, "its comments name no features to be printed"), (1, "a print that is resumed")):
+        (left,) = (check for check in found(problem, toolpath, first=first).checks if check.name == LEFT)
+        assert left.ok and left.where == f"not asked: {why}"
+
+
 def test_what_goes_on_into_the_next_layer_is_of_two(tmp_path: Path) -> None:
     ways = "".join(f"G1 X{x} Y{y} Z{z} E1\n" for z in (0.3, 0.5) for x, y in SQUARE)
     segments = _moves(tmp_path, f"M83\n;HEIGHT:0.2\nG1 X0 Y0 Z0.3\n{ways}")

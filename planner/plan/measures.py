@@ -612,7 +612,8 @@ CHECKS: dict[str, Measure] = {
         "of its length",
         "what the problem's file says is printed, on each layer",
         "share of the file's paths that no executed tip comes near to, in the worst layer; the limit is "
-        "0.001 and the share that notes say is left out, layers.source.leave_out_share at most",
+        "0.001 and the share that notes say is left out, layers.source.leave_out_share at most; of G-code whose comments name no "
+        "features, and of files of points where the print is resumed, it is not asked, which the check says",
         ONLY_REREAD,
     ),
     "obstacles where the print is": Measure(

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.geometry import angles_between
 from planner.collision.print_body import CLEARANCE, PART
 from planner.plan import Check
@@ -40,6 +40,7 @@ from planner.verify.reread.places import (
     NORMAL,
     OFF_LEVEL,
     ON_PART,
+    SHORT,
     WHOLE,
     Places,
     begun_layers,
@@ -51,7 +52,7 @@ from planner.verify.reread.places import (
     worst_of,
 )
 from planner.verify.reread.plane_curves import NotRead, read_again
-from planner.verify.reread.points import distances_from, dots_along, segments_of
+from planner.verify.reread.points import Segments, distances_from, dots_along, segments_of
 from planner.verify.reread.scan import sheets_at
 from planner.verify.reread.skirt import skirt
 from planner.verify.reread.slopes import axis_along, normals_over, off_facets
@@ -70,6 +71,7 @@ _MAPPED = 1e-5  # m, of heights that follow a map between its places
 _WIDTHS_AGO = 3.0  # a bead lies on what it laid itself so many of its widths before, along it, at least
 _STRAY = 0.3e-3  # m that obstacles may be off, besides their own radius and spread
 _LEVEL = 10.0  # by which heights count for more where layers are level: what lies beneath is another layer's
+_SAME_LEVEL = 5e-6  # m by which heights of one layer may differ, rounded
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
 
@@ -215,23 +217,39 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     off = distances_from(found, places.tip, [*_near(places.tip, dots, which, length if found.bend > 0.0 else None)])
     limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
-    some = isinstance(layers, GcodeLayersSpec) and layers.count is not None
-    if found.needed is None or not found.needed.any() or some or judged.trajectory.first_bead:
+    resumed = judged.trajectory.first_bead > 0
+    if found.needed is None or not found.needed.any() or resumed:
+        why = "a print that is resumed" if resumed else "its comments name no features to be printed"
+        yield Check(WHOLE, 0.0, 0.0, "of its length", True, f"not asked: {why}")
         return
     if found.bend > 0.0:  # only the waypoints themselves are sure to be passed
         dots, which = found.start, np.arange(len(length))
     weight = (length / np.bincount(which))[which]
     if found.bend > 0.0:  # a waypoint stands for no more than a usual step, however far the next one is
         weight = np.minimum(weight, float(np.median(length)))
-    wanted = found.needed[which]
+    wanted, most = found.needed[which], may_be_left(judged, layers.source.crumbs)
+    if isinstance(layers, GcodeLayersSpec) and layers.count is not None:
+        low = wanted & _level_up_to(found, float(places.tip[:, 2].max()))[which]
+        if not low.any():
+            yield Check(WHOLE, 0.0, 0.0, "of its length", True, "not asked: nothing level is to be printed")
+            return
+        # what notes tell of is of all layers
+        wanted, most = low, SHORT + (most - SHORT) * float(weight[wanted].sum() / weight[low].sum())
     dots, weight = dots[wanted], weight[wanted]
     sense = np.array([1.0, 1.0, 1.0 if found.bend > 0.0 else _LEVEL])
     lost = cKDTree(places.tip * sense).query(dots * sense)[0] > limit + between(judged)
-    share, most = float(weight[lost].sum() / weight.sum()), may_be_left(judged, layers.source.crumbs)
+    share = float(weight[lost].sum() / weight.sum())
     where = EVERYWHERE
     if lost.any():
         where = "at {:.1f}, {:.1f}, {:.1f} mm".format(*(dots[np.argmax(lost)] * 1e3))
     yield Check(WHOLE, share, most, "of its length", share <= most, where)
+
+
+def _level_up_to(found: Segments, top: float) -> Flags:
+    """Which pieces (n) of G-code are level, and no higher than the layer at a height [m]. A spiral counts as what it ends at, and
+    may be left out as a whole."""
+    level = np.abs(found.end[:, 2] - found.start[:, 2]) <= _SAME_LEVEL
+    return np.asarray(level & (found.end[:, 2] <= top + _SAME_LEVEL))
 
 
 def _near(points: Array, dots: Array, which: Ints, length: Array | None) -> Iterator[Ints]:
