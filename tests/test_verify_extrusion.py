@@ -24,6 +24,7 @@ from planner.plan import Event, Plan, Trajectory
 from planner.problem import Problem, load_problem
 from planner.problem.process import FibreSpec, FilamentMoveSpec, StartSpec
 from planner.toolpath.bead import Toolpath
+from planner.verify import material
 from planner.verify.around_bead import around_beads
 from planner.verify.checks import samples_of
 from planner.verify.verdict import Report, verify
@@ -423,6 +424,23 @@ def test_what_stands_in_a_lag_zone_is_not_weighed_and_what_stands_beyond_is() ->
         spoilt = t.feed.copy()
         spoilt[at] += 0.003 * MM  # of filament, of which a millimetre of the bead takes 0.125 mm
         assert failed(plan, feed=spoilt) == expected
+
+
+def test_a_short_thin_bead_that_gets_nothing_is_found_beside_a_thick_one() -> None:
+    """All of it is within the lag of its ends; the thick one, 0.6 s before, holds seventy times as much in that time."""
+    n, lag, dt = 440, 0.2, 0.004
+    bead, flow = np.full(n, -1, dtype=np.int32), np.zeros(n)
+    for i, (first, last, rate) in enumerate(((10, 150, 360e-9), (300, 400, 3e-9))):
+        bead[first:last], flow[first:last] = i, rate
+    laid = (np.cumsum(flow) - 0.5 * flow) * dt
+    t: Any = SimpleNamespace(t=dt * np.arange(n), dt=dt, bead=bead, s=np.zeros(n), flow=flow, extruded=laid)
+    near, sample = material._near_ends(t, lag), 360e-9 * dt
+    assert near[300:400].all()
+    thick = bead == 0
+    both = feed(t.t, bead, laid, flow, (), 1.0, lag)
+    one = feed(t.t, np.where(thick, bead, -1), np.minimum(laid, laid[200]), np.where(thick, flow, 0.0), (), 1.0, lag)
+    assert material._fed(t, both, lag, near, sample).ok
+    assert not material._fed(t, one, lag, near, sample).ok
 
 
 # --- a motor that is only on or off ------------------------------------------------------------------------

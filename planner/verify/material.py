@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_banded
+from scipy.ndimage import maximum_filter1d
 
 from planner.base.arrays import Array
 from planner.plan import Check, Event, Trajectory
@@ -152,12 +153,16 @@ def _flow_per_millimetre(t: Trajectory, flow: FlowByLength, limit: float) -> Che
 
 
 def _fed(t: Trajectory, pressed: Array, lag: float, near: NDArray[np.bool_], sample: float) -> Check:
-    """Filament is fed as material is laid, ahead by the lag; (n) [m^3] is pressed into the melt beside events."""
+    """Filament is fed as material is laid, ahead by the lag; (n) [m^3] is pressed into the melt beside events.
+
+    Near a bead's ends it may be off by what the lag holds at the flow around.
+    """
     # the rate at each sample: the slope of the quartic through what has flowed at it, before, after and half-way
     more = np.pad(t.extruded, 1, mode="edge")
     ahead = lag * (8.0 * t.flow * t.dt - more[2:] + more[:-2]) / (6.0 * t.dt)
     off = np.abs(pressed - t.extruded - ahead)
-    off = np.where(near, np.maximum(off - lag * t.flow.max(initial=0.0), 0.0), off)
+    around = maximum_filter1d(t.flow, 2 * int(np.ceil(lag / t.dt + ZONE_SAMPLES)) + 1, mode="nearest")
+    off = np.where(near, np.maximum(off - lag * around, 0.0), off)
     return _share_check(t, "filament fed", off, sample, FILAMENT_TOLERANCE)
 
 
