@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from planner.base.errors import InputError
+from planner.cell.bodies import drawn_meshes, read_mesh
 from planner.cell.cell import build_cell
 from planner.cell.collada import read_collada
 from planner.cell.looks import bodies_surface, link_surface
@@ -15,6 +17,7 @@ from planner.cell.robot import Robot, joint_axes, read_robot, robot_names
 from planner.cell.shells import MOST_FILLET, casting
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, triangles_of
 from planner.cell.surfaces import TriangleSurface, creased, decimated, rgb, solid_surface
+from planner.cell.urdf import parse_urdf
 from planner.problem import load_problem
 from planner.verify.drawing import cell_view
 
@@ -22,6 +25,23 @@ ROBOTS = Path(__file__).resolve().parent.parent / "robots"
 SHELLS = [key for key in robot_names() if key not in ("panda", "ur3", "ur5", "ur10", "xarm7")]
 ARMS = [key for key in SHELLS if key not in ("irbp_a250", "track_3m", "gantry_xy")]
 COVERED = 3.1e-3  # m: how far covers stand out of what they are on
+IN_CENTIMETRES = """<?xml version="1.0" encoding="utf-8"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+  <asset><unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis></asset>
+  <library_geometries><geometry id="box"><mesh>
+    <source id="places">
+      <float_array id="numbers" count="24">{corners}</float_array>
+      <technique_common><accessor source="#numbers" count="8" stride="3">
+        <param name="X" type="float"/><param name="Y" type="float"/><param name="Z" type="float"/>
+      </accessor></technique_common>
+    </source>
+    <vertices id="corners"><input semantic="POSITION" source="#places"/></vertices>
+    <triangles count="12"><input semantic="VERTEX" source="#corners" offset="0"/><p>{triangles}</p></triangles>
+  </mesh></geometry></library_geometries>
+  <library_visual_scenes><visual_scene id="all"><node id="one"><instance_geometry url="#box"/></node></visual_scene>
+  </library_visual_scenes>
+  <scene><instance_visual_scene url="#all"/></scene>
+</COLLADA>"""
 
 
 def links(robot: Robot) -> list[tuple[int, list[Body], TriangleSurface]]:
@@ -160,6 +180,20 @@ def test_a_file_that_is_no_collada_says_so(tmp_path: Path) -> None:
         (tmp_path / "m.dae").write_text(text)
         with pytest.raises(ValueError, match=r"m\.dae"):
             read_collada(tmp_path / "m.dae")
+
+
+def test_collada_counts_in_its_own_unit_drawn_and_checked_alike(tmp_path: Path) -> None:
+    """A box of 8 by 20 by 30 cm; y up stays y, as ROS has it."""
+    box = trimesh.creation.box((8.0, 20.0, 30.0))
+    corners, triangles = (" ".join(map(str, np.ravel(each).tolist())) for each in (box.vertices, box.faces))
+    (tmp_path / "link.dae").write_text(IN_CENTIMETRES.format(corners=corners, triangles=triangles), encoding="utf-8")
+    mesh = '<geometry><mesh filename="link.dae" scale="2 1 1"/></geometry>'
+    text = f'<robot name="r"><link name="base"><collision>{mesh}</collision></link></robot>'
+    ((checked, _),) = drawn_meshes(parse_urdf(text.encode(), tmp_path / "r.urdf"), "base", "collision", np.eye(4))
+    np.testing.assert_allclose(np.ptp(checked.vertices(), axis=0), [0.16, 0.2, 0.3], rtol=1e-5)
+    for vertices in (read_mesh(tmp_path / "link.dae").vertices, read_collada(tmp_path / "link.dae")[0]):
+        np.testing.assert_allclose(np.ptp(vertices, axis=0), [0.08, 0.2, 0.3], rtol=1e-5)
+    assert [each.name for each in tmp_path.iterdir()] == ["link.dae"]
 
 
 def test_a_mesh_that_cannot_be_read_is_drawn_as_what_is_checked(tmp_path: Path) -> None:

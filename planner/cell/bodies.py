@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from urllib.parse import unquote, urlparse
 from xml.etree import ElementTree as ET
 
@@ -23,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import Complaint, InputError
+from planner.cell.collada import unit_of, write_without_unit
 from planner.cell.pieces import convex_pieces, lean_hull
 from planner.cell.solids import Body, Box, Capsule, ConvexSolid, Frustum, Hull, Look, Mesh, Solid
 from planner.cell.urdf import FARTHEST, Urdf, hanging_on, link_frame, origin_of
@@ -189,8 +191,8 @@ def _link_mesh(urdf: Urdf, shape: ET.Element, field: str) -> Mesh:
 
 
 def read_mesh(path: Path) -> Mesh:
-    """The triangles of a mesh's file, in its own unit. Raises ValueError for one that cannot be read."""
-    return _mesh(coal.MeshLoader().load(str(path), np.ones(3)))
+    """The triangles of a mesh's file, in its own unit, of COLLADA in metres. Raises ValueError where it cannot be read."""
+    return _mesh(_read(path, np.ones(3)))
 
 
 def _mesh(read: coal.BVHModelBase) -> Mesh:
@@ -219,7 +221,7 @@ def _loaded(urdf: Urdf, shape: ET.Element, field: str) -> coal.BVHModelBase:
     path = _mesh_path(urdf, shape, field)
     scale = np.array(urdf.numbers(shape, "scale", field, 3, "1 1 1"))
     try:
-        read = coal.MeshLoader().load(str(path), scale)
+        read = _read(path, scale)
     except ValueError as error:
         told = [
             line for line in str(error).splitlines() if line and not line.startswith(("From", "in func", "at line"))
@@ -233,6 +235,19 @@ def _loaded(urdf: Urdf, shape: ET.Element, field: str) -> coal.BVHModelBase:
         hint = 'sizes are metres; of a file in mm, scale="0.001 0.001 0.001"'
         raise urdf.error(shape, field, f"mesh {path.name} is {size:g} m large", hint)
     return read
+
+
+def _read(path: Path, scale: Array) -> coal.BVHModelBase:
+    """A mesh's file as coal reads it, scaled along x, y and z. Raises ValueError for one that cannot be read.
+
+    The unit of a COLLADA file counts, as ROS has it. coal leaves it to its importer, so it is given a file without one.
+    """
+    if (unit := unit_of(path)) == 1.0:
+        return coal.MeshLoader().load(str(path), scale)
+    with TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        write_without_unit(path, copy)
+        return coal.MeshLoader().load(str(copy), unit * scale)
 
 
 def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:

@@ -1,7 +1,8 @@
 """COLLADA files (.dae) as robots' meshes have them: triangles with the colours of their materials.
 
-The loader that reads meshes for collision knows no colours. Of the format only this is read: positions, polygons, the
-nodes' matrices, and the diffuse colour of each material. COLLADA 1.4.1, https://www.khronos.org/collada/.
+The loader that reads meshes for collision knows no colours, and no unit. Of the format only this is read: the unit,
+positions, polygons, the nodes' matrices, and the diffuse colour of each material. Which axis is up is for the URDF to say,
+as ROS has it. COLLADA 1.4.1, https://www.khronos.org/collada/.
 """
 
 from __future__ import annotations
@@ -17,25 +18,53 @@ from planner.base.arrays import Array, Ints
 
 GAMMA = 2.2  # colours of the files are linear, those of screens are not
 PALE = (0.8, 0.8, 0.8)  # where a material has no colour
-_Y_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
-def read_collada(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
-    """Vertices (n, 3) [m, z up], triangles (m, 3), and their colours (m, 3).
+def unit_of(path: Path) -> float:
+    """How many metres the unit of a COLLADA file is; 1 where it names none, of other files, and of what cannot be read."""
+    if path.suffix.lower() != ".dae":
+        return 1.0
+    try:
+        with path.open("rb") as file:
+            for _, element in ET.iterparse(file):
+                tag = element.tag.rsplit("}", 1)[-1]
+                if tag == "unit":
+                    return float(element.get("meter", "1"))
+                if tag == "asset":  # the file's own comes first
+                    break
+    except (ET.ParseError, OSError, LookupError, ValueError):
+        pass  # whoever reads the rest says what is wrong
+    return 1.0
 
-    Raises ValueError for a file that has something else, or nothing, to be seen.
-    """
+
+def write_without_unit(path: Path, copy: Path) -> None:
+    """Write a COLLADA file again without the unit that it names. Raises ValueError for one that cannot be read."""
+    root = _root(path)
+    for asset in root.iter("asset"):
+        for unit in asset.findall("unit"):
+            asset.remove(unit)
+    ET.ElementTree(root).write(copy, encoding="utf-8", xml_declaration=True)
+
+
+def _root(path: Path) -> ET.Element:
+    """What a file holds, its tags without their namespace."""
     try:
         root = ET.parse(path).getroot()
     except (ET.ParseError, OSError) as error:
         raise ValueError(f"{path.name} cannot be read") from error
     for element in root.iter():
         element.tag = element.tag.rsplit("}", 1)[-1]
+    return root
+
+
+def read_collada(path: Path) -> tuple[Array, Ints, NDArray[np.uint8]]:
+    """Vertices (n, 3) [m], triangles (m, 3), and their colours (m, 3).
+
+    Raises ValueError for a file that has something else, or nothing, to be seen.
+    """
+    root = _root(path)
     named = {f"#{element.get('id')}": element for element in root.iter() if element.get("id")}
-    unit, up = root.find("asset/unit"), root.findtext("asset/up_axis", "Y_UP").strip()
-    T = np.diag([*[float(unit.get("meter", "1")) if unit is not None else 1.0] * 3, 1.0]) @ (
-        np.eye(4) if up == "Z_UP" else _Y_UP
-    )
+    T = np.diag([*[unit_of(path)] * 3, 1.0])
     vertices, triangles, colours = [np.zeros((0, 3))], [np.zeros((0, 3), dtype=np.int64)], [np.zeros((0, 3))]
     first = 0
     for scene in root.iter("visual_scene"):
