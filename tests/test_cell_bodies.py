@@ -13,6 +13,7 @@ from planner.base.errors import InputError
 from planner.cell.cell import build_cell
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, packed, triangles_of
 from planner.problem import load_problem
+from planner.verify.bodies import coal_geometry
 
 
 def heads(*changes: str) -> tuple[Body, ...]:
@@ -51,17 +52,22 @@ def test_an_outline_is_taken_as_it_is_and_may_have_steps() -> None:
 def test_bodies_of_a_head_stand_in_the_flange_frame(tmp_path: Path) -> None:
     stl = tmp_path / "heater.stl"
     trimesh.creation.box((20, 30, 40)).export(stl)
+    trimesh.creation.cylinder(15, 20, sections=360).export(tmp_path / "fan.stl")
     own = {
         "motor": {"box_mm": [40, 40, 60], "centre_mm": [0, 0, 30]},
         "heater": {"mesh": str(stl), "rpy_deg": [0, 0, 90]},
+        "fan": {"mesh": str(tmp_path / "fan.stl")},
     }
     cell = build_cell(load_problem("cylinder_logo", [f"cell.nozzle.head={json.dumps(own)}"]))
-    motor, heater = cell.head[-2:]
+    motor, heater, fan = cell.head[-3:]
     T = cell.T_flange_nozzle
     there = corners(motor) @ T[:3, :3].T + T[:3, 3]
     assert np.allclose([there.min(axis=0), there.max(axis=0)], [[-0.02, -0.02, 0.0], [0.02, 0.02, 0.06]])
     assert isinstance(heater.solid, Hull)
     assert np.allclose(np.ptp(corners(heater) @ T[:3, :3].T, axis=0), [0.03, 0.02, 0.04])
+    # in triangles, its round ends have fewer around a corner than coal takes
+    assert np.bincount(triangles_of(fan.solid)[1].ravel()).max() < 255
+    coal_geometry(fan.solid)
     packed(cell.head)  # all of them convex
 
 

@@ -30,7 +30,7 @@ from planner.robots.face import depth
 from planner.robots.files import nozzle_of, spiral
 from planner.robots.survey import key_of, survey
 from planner.robots.trial import trial
-from planner.verify.bodies import CellBodies, pairs
+from planner.verify.bodies import CellBodies, coal_geometry, pairs
 from tests.public_arms import ARMS, urdf_of
 
 KR10 = ARMS["KUKA KR 10 R1420"]
@@ -441,6 +441,17 @@ def test_a_fine_ball_becomes_leaner_and_holds_it() -> None:
     np.testing.assert_array_equal(
         np.sort(lean_hull(coarse), axis=0), np.sort(coarse[np.unique(Hull(coarse)._hull.vertices)], axis=0)
     )
+
+
+def test_a_finely_cut_cylinder_has_few_corners_at_each_end() -> None:
+    """Each face of its rim has a corner there, and the triangles of an end meet in one: coal takes 254 at most."""
+    a = np.radians(np.arange(360.0))
+    points = 0.03 * np.vstack([np.column_stack([np.cos(a), np.sin(a), np.full(360, z)]) for z in (0.0, 1.5)])
+    lean = Hull(lean_hull(points))
+    assert np.bincount(lean.facets[1].ravel()).max() < 255
+    assert (points @ lean.planes[:, :3].T + lean.planes[:, 3]).max() < 1e-9
+    assert lean.volume < 1.05 * Hull(points).volume
+    coal_geometry(lean)
 
 
 def forked(folder: Path, drawn: str = "visual") -> Path:

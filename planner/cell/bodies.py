@@ -357,4 +357,4 @@ def _solid_body(name: str, spec: BodySpec, where: Complaint) -> Body:
 def _mesh_hull(mesh: Mesh, where: Complaint) -> Hull:
     if np.linalg.matrix_rank(mesh.vertices - mesh.vertices[0], tol=_FLAT) < 3:
         raise where("its facets lie in one plane", hint="a body has a volume")
-    return Hull(mesh.vertices)
+    return Hull(lean_hull(mesh.vertices))

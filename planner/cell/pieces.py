@@ -20,8 +20,11 @@ _LOOKED = 96  # directions in which a side's farthest points stand for it while 
 _WORTH = 0.01  # of the whole body's hull that a cut takes away, at least
 _THIN = 1e-6  # m: what is thinner has no hull
 MOST_PLANES = 2000  # of a hull: a finer one costs time for nothing, and coal does not take all of them
-_MOST_AROUND = 200  # planes around one corner; of 256 coal says "too many neighbours"
+_MOST_AROUND = 200  # triangles around one corner, where those of a face meet; of 255 coal says "too many neighbours"
 _FACES, _AROUND = 300, 300  # of one too fine: planes along its largest faces, and others spread around it
+# rad between these faces, the first that serves: a round end has a corner at each face of its rim, and is itself cut into
+# triangles around one of them
+_APART = (0.0, np.radians(10.0), np.radians(20.0))
 
 
 class _Cut(NamedTuple):
@@ -60,22 +63,43 @@ def lean_hull(points: Array) -> Array:
     """
     hull = ConvexHull(points)
     planes = len(np.unique(np.round(hull.equations, 12), axis=0))
-    if planes <= MOST_PLANES and np.bincount(hull.simplices.ravel()).max() <= _MOST_AROUND:
-        return np.asarray(points[hull.vertices])
     own = points[hull.vertices]
-    directions = np.vstack([_large_faces(hull), _all_round(_AROUND), np.eye(3), -np.eye(3)])
-    farthest = (own @ directions.T).max(axis=0)
-    around = HalfspaceIntersection(np.column_stack([directions, -farthest]), own.mean(axis=0)).intersections
-    return np.asarray(around[ConvexHull(around).vertices])
+    if planes <= MOST_PLANES and _most_around(hull) <= _MOST_AROUND:
+        return np.asarray(own)
+    faces = _faces_by_size(hull)
+    for apart in _APART:
+        directions = np.vstack([_kept_apart(faces, apart)[:_FACES], _all_round(_AROUND), np.eye(3), -np.eye(3)])
+        farthest = (own @ directions.T).max(axis=0)
+        around = HalfspaceIntersection(np.column_stack([directions, -farthest]), own.mean(axis=0)).intersections
+        lean = ConvexHull(around)
+        if _most_around(lean) <= _MOST_AROUND:
+            break
+    return np.asarray(around[lean.vertices])
 
 
-def _large_faces(hull: ConvexHull) -> Array:
-    """Normals (n, 3) of a hull's largest faces, those of nearly one direction together."""
+def _most_around(hull: ConvexHull) -> int:
+    """How many triangles meet in one corner of a hull, at most."""
+    return int(np.bincount(hull.simplices.ravel()).max())
+
+
+def _faces_by_size(hull: ConvexHull) -> Array:
+    """Normals (n, 3) of a hull's faces, those of nearly one direction together, the largest first."""
     corners = hull.points[hull.simplices]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     _, first, alike = np.unique(np.round(hull.equations[:, :3], 2), axis=0, return_index=True, return_inverse=True)
     together = np.bincount(alike.ravel(), weights=area)
-    return np.asarray(hull.equations[first[np.argsort(-together, kind="stable")[:_FACES]], :3])
+    return np.asarray(hull.equations[first[np.argsort(-together, kind="stable")], :3])
+
+
+def _kept_apart(directions: Array, apart: float) -> Array:
+    """Unit vectors (n, 3) without those nearer than an angle [rad] to one before them that stays."""
+    if apart == 0.0:
+        return directions
+    kept = directions[:1]
+    for each in directions[1:]:
+        if (kept @ each).max() < np.cos(apart):
+            kept = np.vstack([kept, each])
+    return kept
 
 
 def _hull(corners: Array) -> ConvexHull | None:
