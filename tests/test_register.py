@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,7 @@ from benchmarks import registration
 from benchmarks.touching import cartesian, from_one_side, misplaced, tips_of, write_contacts
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
-from planner.cell.cell import build_cell, frame_from_z
+from planner.cell.cell import build_cell, frame_from_z, translation
 from planner.cell.kinematics.inverse import track
 from planner.problem import load_problem, shipped_problems
 from planner.problem.rewrite import write_changed
@@ -28,7 +30,7 @@ from planner.register.contacts import locate, plate_poses, read_readings, settle
 from planner.register.finding import Ask, as_published, plan_contacts, register, scene_of, suggest_next
 from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
 from planner.register.places import reached, rolls
-from planner.register.telling import changes_of, published_lines, rpy_degrees
+from planner.register.telling import changes_of, published_lines, rpy_degrees, turntable_lines
 
 # Placement
 
@@ -381,6 +383,27 @@ def test_the_published_answer_is_written_from_nine_contacts_of_one_side(tmp_path
         off.append([np.linalg.norm(axis), np.linalg.norm(cylinder)])
     assert (np.array(off) <= 5e-5).all(axis=1).mean() >= 0.9
     np.testing.assert_allclose(off, 0.0, atol=1e-4)
+
+
+def test_a_plate_is_placed_whose_frame_is_not_on_the_tables_axis(tmp_path: Path) -> None:
+    """Its origin is a corner of the plate, say: both ways find table and cylinder where they are."""
+    here, random = scene("cylinder_logo"), np.random.default_rng(0)
+    T_plate_part = translation(np.array([-0.03, 0.02, 0.0])) @ here.cell.T_plate_part
+    cell = replace(here.cell, T_plate_part=T_plate_part)
+    aside = replace(here, cell=cell, start=Placement(T_plate_part, np.zeros(3)))
+
+    def file(truth: Placement) -> Path:
+        return write_contacts(tmp_path / "c.csv", from_one_side(aside, truth, 0.0, 0.0, random))
+
+    truth = misplaced(aside, (0.8, 0.5), (), (0.4, -0.3))
+    found = as_published(aside, file(truth)).placement
+    np.testing.assert_allclose(found.T_plate_part, truth.T_plate_part, atol=1e-7)
+    np.testing.assert_allclose(found.shift, truth.shift, atol=1e-7)
+    told = turntable_lines(register(aside, file(misplaced(aside, (0.8, 0.5))), Ask()))
+    published, ours = ([float(word) for word in re.findall(r"-?\d+\.\d{3}", line)[:4]] for line in told)
+    origin = plate_poses(here.cell, np.zeros((1, 1)))[0, :2, 3]
+    np.testing.assert_allclose(ours, published, atol=2e-3)
+    np.testing.assert_allclose(ours[:2], origin * 1e3, atol=2e-3)
 
 
 def test_contacts_keep_their_names_by_the_published_way(tmp_path: Path) -> None:

@@ -305,6 +305,14 @@ def settled(table: Turntable, turns: Array) -> tuple[Turntable, Flags]:
     return found, np.asarray(kept.reshape(-1, 2).all(axis=1))
 
 
+def axis_of(T_world_plate: Array) -> tuple[Array, Array]:
+    """Where the problem has the axis (2) about which upright plates (n, 4, 4) turn, in the world, and where a plate's origin
+    (2) is from there, in the plate's frame [m]. The plates stand at two angles at least."""
+    A = _columns(T_world_plate[:, :2, :2])
+    z = np.linalg.lstsq(A, T_world_plate[:, :2, 3].ravel(), rcond=None)[0]
+    return z[:2], z[2:]
+
+
 def _columns(turns: Array) -> Array:
     """How the measured places (2n) change with the table's axis and the cylinder's (4), the plate turned by (n, 2, 2)."""
     return np.concatenate([np.tile(np.eye(2), (len(turns), 1, 1)), turns], axis=2).reshape(-1, 4)

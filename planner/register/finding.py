@@ -17,6 +17,7 @@ from planner.register.contacts import (
     Contacts,
     Readings,
     Turntable,
+    axis_of,
     contacts_of,
     locate,
     other_units,
@@ -271,9 +272,10 @@ def as_published(scene: Scene, file: Path) -> Published:
             hint="a nozzle that always comes from one side, straight at the cylinder's axis; lengths in mm in the world",
         )
     found, right = settled(table, contacts.T_world_plate[:, :2, :2])
+    axis, aside = axis_of(contacts.T_world_plate)
     T = scene.start.T_plate_part.copy()
-    T[:2, 3] = found.cylinder - T[:2, :2] @ np.asarray(part.cylinder.centre)
-    shift = np.append(found.axis - contacts.T_world_plate[0, :2, 3], 0.0)
+    T[:2, 3] = found.cylinder - aside - T[:2, :2] @ np.asarray(part.cylinder.centre)
+    shift = np.append(found.axis - axis, 0.0)
     return Published(table, found, right, contacts.names, Placement(T, shift))
 
 

@@ -20,6 +20,7 @@ from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.problem import Problem
 from planner.problem.rewrite import Value
+from planner.register.contacts import axis_of
 from planner.register.finding import MISFIT, Published, Registration, Scene
 from planner.register.fitting import Fit, Placement
 from planner.register.places import TouchPlaces
@@ -238,8 +239,9 @@ def turntable_lines(found: Registration) -> list[str]:
     spec = found.scene.problem.part
     centre = np.zeros(2) if spec is None or spec.cylinder is None else np.asarray(spec.cylinder.centre)
     T = fit.placement.T_plate_part
-    ours = (T[:3, :3] @ np.append(centre, 0.0) + T[:3, 3])[:2]
-    axis = contacts.T_world_plate[0, :2, 3] + fit.placement.shift[:2]
+    stands, aside = axis_of(contacts.T_world_plate)
+    ours = (T[:3, :3] @ np.append(centre, 0.0) + T[:3, 3])[:2] + aside
+    axis = stands + fit.placement.shift[:2]
     off = np.abs(fit.residuals[fit.kept]).mean()
     return [
         f"{published}: table's axis at {_numbers(table.axis * 1e3, 3)} mm{side}, "
