@@ -406,6 +406,22 @@ def test_a_plate_is_placed_whose_frame_is_not_on_the_tables_axis(tmp_path: Path)
     np.testing.assert_allclose(ours[:2], origin * 1e3, atol=2e-3)
 
 
+def test_a_ball_stands_off_the_cylinder_by_the_published_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    here, random, out = scene("cylinder_logo"), np.random.default_rng(0), tmp_path / "out.yaml"
+    monkeypatch.setattr(command, "scene_of", lambda *_: here)
+    truth = misplaced(here, (0.8, 0.5), (), (0.4, -0.3))
+    file = write_contacts(tmp_path / "c.csv", from_one_side(here, truth, 0.0, 0.0, random, np.full(9, 2e-3)))
+    code, _ = run(str(file), "cylinder_logo", "--published", "--ball-mm", "2", "--out", str(out))
+    spec, now = here.problem.cell.positioner, load_problem(out).cell.positioner
+    assert code == EXIT_VERIFIED
+    np.testing.assert_allclose(np.asarray(now.origin) - np.asarray(spec.origin), truth.shift, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(now.part) - np.asarray(spec.part), [0.8e-3, 0.5e-3, 0.0], atol=1e-6)
+    columns = from_one_side(here, misplaced(here, (0.8, 0.5)), 0.0, 0.0, random, np.full(9, 2e-3))
+    beside = register(here, write_contacts(tmp_path / "d.csv", columns), Ask(ball=2e-3)).turntable
+    assert beside is not None
+    np.testing.assert_allclose(beside.axis, plate_poses(here.cell, np.zeros((1, 1)))[0, :2, 3], atol=1e-7)
+
+
 def test_contacts_keep_their_names_by_the_published_way(tmp_path: Path) -> None:
     here = scene("cylinder_logo")
     file = write_contacts(tmp_path / "c.csv", from_one_side(here, here.start, 0.0, 0.0, np.random.default_rng(0)))

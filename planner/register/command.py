@@ -77,7 +77,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _published(options: argparse.Namespace, scene: Scene, target: Path) -> int:
     """Place table and cylinder by the published equation."""
-    found = as_published(scene, options.contacts)
+    found = as_published(scene, options.contacts, options.ball_mm * 1e-3)
     changes = changes_of(scene.problem, found.placement, scene.start, ("x", "y"))
     _write(scene.problem, changes, target)
     print("\n".join([*published_lines(found, changes), f"written to {target}"]))

@@ -195,7 +195,7 @@ def register(scene: Scene, file: Path, ask: Ask) -> Registration:
     touch = Touch(scene.surface, scene.tangents, contacts, unknowns, ask.ball)
     found = fit(touch, scene.start, ask.noise)
     _fits(scene, readings, found, ask)
-    return replace(judged(scene, ask, found), turntable=_turntable(scene, contacts))
+    return replace(judged(scene, ask, found), turntable=_turntable(scene, contacts, ask.ball))
 
 
 def _readings(scene: Scene, file: Path) -> Readings:
@@ -237,10 +237,11 @@ class Published:
         return float(np.abs(self.table.off[self.right]).sum(axis=1).mean())
 
 
-def as_published(scene: Scene, file: Path) -> Published:
+def as_published(scene: Scene, file: Path, ball: float = 0.0) -> Published:
     """The table's axis and the cylinder on it by eq. (1) of Pollard et al., settled by least squares.
 
-    Contacts of a nozzle that always comes from one side are enough, at several angles of the table.
+    Contacts of a nozzle that always comes from one side are enough, at several angles of the table; ball [m]: radius of what
+    touches.
     Raises InputError for other parts and tables, and for contacts that this cannot be told from.
     """
     readings = _readings(scene, file)
@@ -258,7 +259,7 @@ def as_published(scene: Scene, file: Path) -> Published:
             file=file,
             hint="columns ax, ay, az: the nozzle's direction in the world",
         )
-    table = _turntable(scene, contacts)
+    table = _turntable(scene, contacts, ball)
     if table is None:
         raise InputError(
             "eq. (1) cannot tell the table's axis from these contacts",
@@ -396,7 +397,7 @@ def _determined(scene: Scene, found: Fit, plates: Array) -> list[str]:
     return words(unknowns, hidden)
 
 
-def _turntable(scene: Scene, contacts: Contacts) -> Turntable | None:
+def _turntable(scene: Scene, contacts: Contacts, ball: float) -> Turntable | None:
     """The table as published, if the part is a cylinder on an upright table that stood at several angles."""
     part = scene.problem.part
     R = contacts.T_world_plate[:, :3, :3]
@@ -409,7 +410,7 @@ def _turntable(scene: Scene, contacts: Contacts) -> Turntable | None:
         length = np.linalg.norm(level, axis=1)[:, None]
         if (length < 0.5).any():
             return None  # the nozzle points down, and says nothing of the side from which it came
-        reach = -part.cylinder.radius * level / length
+        reach = -(part.cylinder.radius + ball) * level / length
     try:
         return locate(contacts.tips[:, :2], R[:, :2, :2], reach)
     except ValueError:
