@@ -66,6 +66,19 @@ def test_a_displaced_dome_is_found_among_bed_and_stray_points(tmp_path: Path, no
     assert 1000 < found.fit.kept.sum() < len(found.fit.kept)
 
 
+def test_a_small_part_is_found_in_a_scan_of_the_whole_table(tmp_path: Path) -> None:
+    """Of every so many points of all less than 200 are near it, of those about it thousands."""
+    truth, random = misplaced(dome(), MOVED), np.random.default_rng(1)
+    T = truth.T_plate_part
+    table = np.column_stack([random.uniform(-1.0, 1.0, (400_000, 2)), random.normal(0.0, 5e-5, 400_000)])
+    table = table[np.hypot(*table[:, :2].T) > RADIUS]
+    cloud = np.vstack([dome_scan(truth), 1e3 * (table @ T[:3, :3].T + T[:3, 3])])
+    np.save(tmp_path / "scan.npy", random.permutation(cloud))
+    found = register_scan(dome(), tmp_path / "scan.npy", Ask())
+    middle = truth.T_plate_part @ [*MIDDLE, 1.0] - found.fit.placement.T_plate_part @ [*MIDDLE, 1.0]
+    assert np.linalg.norm(middle) < 6e-6 and found.fit.kept.sum() > 1000
+
+
 def test_endings_of_clouds_are_taken_alike(tmp_path: Path) -> None:
     points = dome_scan(misplaced(dome(), MOVED))
     np.save(tmp_path / "scan.npy", points)

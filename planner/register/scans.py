@@ -78,27 +78,47 @@ def _contacts(file: Path, points: Array, T_world_plate: Array) -> Contacts:
 
 
 def _near(scene: Scene, T_world_plate: Array, cloud: Array, complain: Complaint) -> Array:
-    """Points (n, 3) [m] that are near the part where the problem has it. Raises InputError where there are too few."""
-    some = cloud[:: max(1, len(cloud) // MOST)]
+    """Points (n, 3) [m] near the part where the problem has it, thinned. Raises InputError where there are too few."""
 
     def off(points: Array) -> Array:
         seen = scene.start.seen(points, np.repeat(T_world_plate, len(points), axis=0))
         return np.abs(scene.surface.signed_distance(seen))
 
+    some = whole = _thinned(cloud)
+    if len(whole) < len(cloud):  # of a wide scan of a small part few of these may be near
+        about = _about(scene, T_world_plate[0], cloud)
+        some = _thinned(about) if len(about) >= FEWEST else whole
     near = off(some) <= _REACH[0]
     if near.sum() >= FEWEST:
         return np.asarray(some[near])
     for size, factor in (("small", 1e3), ("large", 1e-3)):
-        if (off(some * factor) <= _REACH[0]).sum() >= FEWEST:
+        if (off(whole * factor) <= _REACH[0]).sum() >= FEWEST:
             raise complain(
                 f"is in another unit: a thousand times too {size}, otherwise it lies on the part",
                 hint="lengths in mm, or --unit m",
             )
+    far = off(whole)
+    near = far <= _REACH[0]
     raise complain(
-        f"is {np.median(off(some)) * 1e3:.0f} mm from where the problem has the part: {near.sum()} of {len(near)} points "
-        f"lie within {_REACH[0] * 1e3:g} mm of it, and {FEWEST} are needed",
+        f"is {np.median(far) * 1e3:.0f} mm from where the problem has the part: {near.sum()} of {len(near)} "
+        f"points that were looked at lie within {_REACH[0] * 1e3:g} mm of it, and {FEWEST} are needed",
         hint="points in the world, whose origin is the arm's base unless cell.base_mm says otherwise, the part at home",
     )
+
+
+def _thinned(cloud: Array) -> Array:
+    """Points (n, 3), evenly left out where they are many more than are of use."""
+    return cloud[:: max(1, len(cloud) // MOST)]
+
+
+def _about(scene: Scene, T_world_plate: Array, cloud: Array) -> Array:
+    """Points (n, 3) in the box, along the world's axes, that holds all that may be near part and print."""
+    shape = scene.toolpath.shape
+    part = np.vstack([scene.points, scene.waypoints.points, *([] if shape is None else [shape.vertices])])
+    T = T_world_plate @ scene.start.T_plate_part
+    there = part @ T[:3, :3].T + T[:3, 3]
+    low, high = there.min(axis=0) - _REACH[0], there.max(axis=0) + _REACH[0]
+    return np.asarray(cloud[((cloud >= low) & (cloud <= high)).all(axis=1)])
 
 
 def _drawn(touch: Touch, placement: Placement, reach: float, complain: Complaint) -> tuple[Placement, float]:
