@@ -50,13 +50,14 @@ from planner.place.site import (
     site_of,
     surroundings,
 )
-from planner.place.study import PlaceOutcome, Slice, crew_of
+from planner.place.study import LAID_LIMITS, PlaceOutcome, Slice, crew_of
 from planner.planning.pipeline import try_out
 from planner.problem import Problem, load_problem
 from planner.problem.rewrite import changed_text, write_changed
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import NozzleTask, tasks_of
+from planner.verify.verdict import Report
 
 STEP = np.radians(30.0)
 
@@ -540,7 +541,7 @@ def test_command_finds_a_better_place(tmp_path: Path, capsys: pytest.CaptureFixt
         loaded = load_problem(path)
         report = try_out(loaded, build_toolpath(loaded), loaded.strategy)
         assert all(check.ok for check in report.checks)
-        scores.append(PlaceOutcome(place_of(loaded), 0.0, report.metrics, None).score)
+        scores.append(PlaceOutcome.of(place_of(loaded), 0.0, report).score)
     assert scores[1] > 1.1 * scores[0]
 
     rows = list(csv.DictReader((out / TABLE).read_text(encoding="utf-8").splitlines()))
@@ -623,7 +624,7 @@ def test_command_refuses_options(tmp_path: Path, option: list[str]) -> None:
 
 
 def test_the_best_is_verified_and_better_than_it_was() -> None:
-    metrics = {"sigma_min": 0.2, "joint_limit_margin_deg": 30.0, "wrist_margin_deg": 40.0}
+    metrics = {"sigma_min": 0.2, LAID_LIMITS: 30.0, "wrist_margin_deg": 40.0}
     metrics |= {"ideal_deposition_time_s": 9.0, "deposition_time_s": 10.0}
     place = PartPlace(0.0, 0.0, 0.0, 0.0)
     good = PlaceOutcome(place, 1.0, metrics, None)
@@ -632,6 +633,17 @@ def test_the_best_is_verified_and_better_than_it_was() -> None:
     assert replace(good, metrics=metrics | {"wrist_margin_deg": 5.0}).score == pytest.approx(0.45, rel=0.01)
     assert best_of([good, replace(better, failure="not verified: jerk")]) is None
     assert best_of([replace(good, failure="no plan"), good, better]) == better
+
+
+def test_home_near_the_end_of_a_range_is_no_matter_of_the_place() -> None:
+    """Joint limits count while material is laid, as all else of the score."""
+    metrics = {"sigma_min": 0.4, "joint_limit_margin_deg": 2.0}
+    metrics |= {"ideal_deposition_time_s": 10.0, "deposition_time_s": 10.0}
+    series = {"sigma": np.array([np.nan, 0.5, 0.4, np.nan]), "limit_margin_deg": np.array([2.0, 9.0, 15.0, 4.0])}
+    outcome = PlaceOutcome.of(PartPlace(0.0, 0.0, 0.0, 0.0), 1.0, Report((), metrics, series, ()))
+    assert outcome.failure is None
+    assert outcome.metrics["joint_limit_margin_deg"] == 2.0 and outcome.metrics[LAID_LIMITS] == 9.0
+    assert outcome.score == pytest.approx(np.radians(9.0) / COMFORT[1])
 
 
 @pytest.mark.slow

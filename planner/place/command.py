@@ -25,7 +25,7 @@ from planner.base.results import results_folder
 from planner.base.signals import no_more_interruptions
 from planner.cell.cell import build_cell
 from planner.place.site import ANGLES, FREEDOMS, PartPlace, StudyRequest, axes_of, changed_fields, place_of, site_of
-from planner.place.study import Crew, PlaceOutcome, Slice, Study, crew_of, study
+from planner.place.study import LAID_LIMITS, Crew, PlaceOutcome, Slice, Study, crew_of, study
 from planner.planning.context import check_unchanged, found_anywhere
 from planner.planning.options import add_problem, add_set, add_spread, add_strategy
 from planner.problem import Problem, load_problem
@@ -145,7 +145,7 @@ MOST_SOLVED = 10
 TABLE, PICTURE = "placement.csv", "placement.png"
 METRICS = (  # of a verified plan, with their headings, factors and decimals
     ("sigma_min", "sigma", 1.0, 3),
-    ("joint_limit_margin_deg", "limits deg", 1.0, 1),
+    (LAID_LIMITS, "limits deg", 1.0, 1),
     ("wrist_margin_deg", "wrist deg", 1.0, 1),
     ("at_speed_fraction", "at speed %", 100.0, 1),
     ("deposition_time_s", "deposition s", 1.0, 1),

@@ -19,12 +19,15 @@ from planner.place.search import Axis, Point, ScoredPoint, lattice, one_by_one, 
 from planner.place.site import ANGLES, PartPlace, Site, StudyRequest, changed_fields, own_site, reach
 from planner.planning.pipeline import try_out
 from planner.resolve.strategies import STRATEGIES
+from planner.verify.verdict import Report
 
 # ----------------------------------------------------------------------------------------------------
 # The pieces of work of a study, each done for itself: here, or by who is spread over processes and machines.
 
 # kind, pieces, what counts pieces that are done → their results in order
 Crew = Callable[[str, Sequence[Any], Callable[[], None]], list[Any]]
+
+LAID_LIMITS = "laid_limit_margin_deg"  # the least angle to a joint's limit while material is laid
 
 
 @dataclass(frozen=True)
@@ -36,13 +39,23 @@ class PlaceOutcome:
     metrics: dict[str, float]
     failure: str | None
 
+    @classmethod
+    def of(cls, place: PartPlace, predicted: float, report: Report) -> PlaceOutcome:
+        """What verification said of a plan; LAID_LIMITS besides, since home and travel are no matter of the place."""
+        failed = [check.name for check in report.checks if not check.ok]
+        laid = np.isfinite(report.series["sigma"])  # NaN in travel
+        least = float(report.series["limit_margin_deg"][laid].min(initial=180.0))
+        return cls(
+            place, predicted, report.metrics | {LAID_LIMITS: least}, f"not verified: {failed[0]}" if failed else None
+        )
+
     @property
     def score(self) -> float:
         """The placement's score as `rating` counts it, from the verified plan; 0 without one."""
         if self.failure is not None:
             return 0.0
         m = self.metrics
-        limits, wrist = np.radians(m["joint_limit_margin_deg"]), np.radians(m.get("wrist_margin_deg", 180.0))
+        limits, wrist = np.radians(m[LAID_LIMITS]), np.radians(m.get("wrist_margin_deg", 180.0))
         least = float((np.array([m["sigma_min"], limits, wrist]) / COMFORT).min())
         return least * m["ideal_deposition_time_s"] / m["deposition_time_s"]
 
@@ -102,8 +115,7 @@ def _solve(site: Site, piece: tuple[PartPlace, float]) -> PlaceOutcome:
         report = try_out(moved, site.toolpath, site.strategy, True)
     except Refusal as refusal:
         return PlaceOutcome(place, predicted, {}, f"no plan: {refusal}")
-    failed = [check.name for check in report.checks if not check.ok]
-    return PlaceOutcome(place, predicted, report.metrics, f"not verified: {failed[0]}" if failed else None)
+    return PlaceOutcome.of(place, predicted, report)
 
 
 WORK: dict[str, Callable[[Site, Any], Any]] = {"score": _score, "polish": _polish, "follow": _follow, "solve": _solve}
