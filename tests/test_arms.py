@@ -527,3 +527,21 @@ def test_kinds_of_the_shipped_arms() -> None:
         **dict.fromkeys(("panda", "iiwa"), SevenAxes),
         "xarm7": Corrected,
     }
+
+
+def test_a_wrist_that_nearly_meets_is_refined_where_joint_3_is_given(tmp_path: Path) -> None:
+    """Axis 7 passes axes 5 and 6 by 3 mm: the closed form cannot know to which side, and all else is exact."""
+    before, behind = (ROBOTS / "iiwa.urdf").read_text(encoding="utf-8").split('<joint name="joint_7"')
+    beside = behind.replace('<origin xyz="0 0 0"/>', '<origin xyz="0.003 0 0"/>', 1)
+    assert beside != behind
+    (tmp_path / "iiwa.urdf").write_text(f'{before}<joint name="joint_7"{beside}', encoding="utf-8")
+    file = tmp_path / "own.yaml"
+    file.write_text((ROBOTS / "iiwa.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    one = read_robot(file)
+    assert isinstance(one.inverse, Corrected)
+    q = np.random.default_rng(3).uniform(-2.0, 2.0, (200, 7))
+    T = chain_of(one, np.eye(4), np.eye(4), one.joint_names, {}).poses(q)
+    found, ok = one.inverse.solve(T, q[:, 2])
+    rows, branch = np.nonzero(ok)
+    np.testing.assert_allclose(one.inverse.poses(found[rows, branch]), T[rows], rtol=0, atol=1e-9)
+    assert ok.any(axis=1).mean() > 0.9

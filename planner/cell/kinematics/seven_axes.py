@@ -27,6 +27,7 @@ from planner.cell.kinematics.seven_axes_kernel import BRANCHES, SEVENTH, THIRD
 NEAR = 5e-3  # m: as in an arm that was measured
 FAR = 0.12  # m by which axes may pass each other where Newton's method is to find postures from those of the ideal arm, and
 _FAR_WRIST = 0.03  # m those of the wrist, with joint 3 given: with joint 7 given they need not meet
+_ROUNDING = 1e-9  # m by which axes that meet may pass each other
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class SevenAxes:
 
 def read_seven_axes(chain: Chain, redundant_joint: int, near: float = NEAR) -> SevenAxes:
     """Read lengths and offsets off a chain from base to flange; OtherGeometry if it is not of this kind, its axes passing those
-    that they ought to meet by more than `near` [m]."""
+    that they ought to meet by more than `near` [m]. Of those that pass by less one is read where they meet."""
     if len(chain) != 7:
         raise OtherGeometry(f"it has {len(chain)} joints, not 7")
     lines, T_base_flange = axes_at_zero(chain)
@@ -118,8 +119,11 @@ def read_seven_axes(chain: Chain, redundant_joint: int, near: float = NEAR) -> S
     a6, y6, _ = local.points[6] - local.points[6, 2] * local.directions[6]
     if redundant_joint not in (THIRD, SEVENTH):
         raise OtherGeometry("the redundant joint can be joint 3 or joint 7")
-    if redundant_joint == THIRD and np.hypot(a6, y6) > min(near, _FAR_WRIST):
+    missed = np.hypot(a6, y6) if redundant_joint == THIRD else 0.0  # with joint 7 given, what it is
+    if missed > min(near, _FAR_WRIST):
         raise OtherGeometry("axes 5, 6, 7 do not meet in one point: the redundant joint can only be joint 7")
+    if missed > _ROUNDING:
+        a6 = y6 = 0.0
     T_flange_7 = np.linalg.inv(T_base_flange) @ T @ at(a6, y6, 0.0)
     lengths = [a3, d3, a4, d5, a6, y6]
     frames = [np.linalg.inv(T_base_shoulder).ravel(), T_flange_7.ravel()]
