@@ -200,7 +200,8 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     if isinstance(inverse, PlacedWrist | OffsetWrist | SevenAxes):
         return Corrected(inverse, chain)
     if apart.max() <= _ROUNDED:
-        return Corrected(read_spherical_wrist(chain), chain)
+        read = read_spherical_wrist(chain)  # which takes in a tip that is rounded
+        return read if np.abs(seen - read.poses(q)).max() <= _SAME_POSE else Corrected(read, chain)
     worst = int(np.argmax(apart))
     at, by = (np.round(T[worst, :3, 3] * 1e3, 3) for T in (seen, own))
     raise file.error(
