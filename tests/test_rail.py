@@ -331,6 +331,25 @@ def test_limits_of_a_rail_are_millimetres(tmp_path: Path) -> None:
     np.testing.assert_allclose([row[0] for row in rows], [0.2, 2.9, 0.5, 0.8, 9.0])
 
 
+@pytest.mark.parametrize(
+    ("home", "range_mm", "at"),
+    [("", "[500, 2500]", 0.5), ("    home_mm: {rail: 4000}\n", "[0, 6000]", 4.0), ("", "[-900, -200]", -0.2)],
+)
+def test_home_of_a_rail_is_within_the_range_that_the_problem_gives(
+    tmp_path: Path, home: str, range_mm: str, at: float
+) -> None:
+    own = ("  bed_mm", f"  limits: {{rail: {{range_mm: {range_mm}}}}}\n  bed_mm")
+    assert build_cell(problem(tmp_path, (HOME, home), own)).home[0] == pytest.approx(at)
+
+
+def test_a_held_rail_stands_within_the_range_that_the_problem_gives(tmp_path: Path) -> None:
+    changes = ("free: [rail]", "free: []"), (HOME, "    held_mm: {rail: 4000}\n")
+    own = "  limits: {rail: {range_mm: [0, 6000]}}\n  bed_mm"
+    assert build_cell(problem(tmp_path, *changes, ("  bed_mm", own))).T_world_base[0, 3] == pytest.approx(4.0)
+    with pytest.raises(InputError, match="this joint slides"):
+        build_cell(problem(tmp_path, *changes, ("  bed_mm", own.replace("range_mm", "range_deg"))))
+
+
 # ----------------------------------------------------------------------------------------------------
 # A small print on a positioner, by an arm on a track beside it.
 

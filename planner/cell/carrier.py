@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -22,7 +22,7 @@ from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body, Look
 from planner.cell.urdf import link_frame
 from planner.problem import Problem
-from planner.problem.cell import CarrierSpec
+from planner.problem.cell import CarrierSpec, JointLimitsSpec
 
 _ROUNDING = 1e-9  # m, rad: a place at the end of its range is inside, though millimetres became metres
 
@@ -46,16 +46,19 @@ class CarriedArm:
     robot          both as one, the joints that may move before the arm's own
     T_carrier_base (4, 4) that robot's base as the carrier's own base has it
     home           where these joints are at first [rad, m]
+    still          the others, as `cell.limits` calls them
     """
 
     robot: Robot
     carrier: Carrier
     T_carrier_base: Array
     home: tuple[float, ...]
+    still: tuple[str, ...]
 
 
-def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot) -> CarriedArm:
-    """The arm on what the problem says carries it.
+def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot, others: Collection[str]) -> CarriedArm:
+    """The arm on what the problem says carries it; others: joints of what holds the part, whose names held ones may not
+    have.
 
     Raises InputError for joints that it has not, for places that it does not reach.
     """
@@ -63,23 +66,37 @@ def carried_arm(problem: Problem, spec: CarrierSpec, arm: Robot) -> CarriedArm:
     if robot.inverse is not None:
         hint = "a rail, a column or a gantry; an arm that holds the part is cell.positioner"
         raise problem.error("cell.base.robot", f"{robot.key} is an arm, and carries none", hint)
-    values = _values(problem, spec, robot)
+    taken = _taken(arm)
+    called = {
+        name: f"base_{name}" if name in taken or (name in others and name not in spec.free) else name
+        for name in robot.joint_names
+    }
+    values = _values(problem, spec, robot, called)
     free = tuple(name for name in robot.joint_names if name in spec.free)
     held = {name: values[name] for name in robot.joint_names if name not in free}
+    still = tuple(called[name] for name in held)
     carrier = Carrier(robot, free, held)
     if not free:
         T = chain_of(robot, np.eye(4), np.eye(4), (), held).T_last_tip
-        return CarriedArm(_standing(robot, held, arm, T), carrier, T, ())
-    return CarriedArm(_joined(robot, free, held, arm), carrier, np.eye(4), tuple(values[name] for name in free))
+        return CarriedArm(_standing(robot, held, arm, T), carrier, T, (), still)
+    return CarriedArm(_joined(robot, free, held, arm), carrier, np.eye(4), tuple(values[name] for name in free), still)
 
 
-def _values(problem: Problem, spec: CarrierSpec, robot: Robot) -> dict[str, float]:
-    """Where each joint is at first, or held [rad, m]; InputError for names and values that the robot has not."""
+def _taken(arm: Robot) -> set[str]:
+    """Names that no joint and no link of a carrier may have beside those of its arm."""
+    return {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
+
+
+def _values(problem: Problem, spec: CarrierSpec, robot: Robot, called: Mapping[str, str]) -> dict[str, float]:
+    """Where each joint is at first, or held [rad, m], within its range, that of `cell.limits` where it is given; InputError
+    for names and values that the robot has not."""
     joints = robot.joint_names
     slides = dict(zip(joints, robot.slides, strict=True))
-    ranges = dict(
-        zip(joints, zip(robot.model.lowerPositionLimit, robot.model.upperPositionLimit, strict=True), strict=True)
-    )
+    ranges = {}
+    for i, name in enumerate(joints):
+        own = problem.cell.limits.get(called[name])
+        range_ = None if own is None else given_limits(problem, called[name], own, slides[name])[0]
+        ranges[name] = range_ or (float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i]))
     given = {"held_mm": spec.held_mm, "held_deg": spec.held_deg, "home_mm": spec.home_mm, "home_deg": spec.home_deg}
     out = {name: float(np.clip(0.0, *ranges[name])) for name in joints}
     for field, names in {"free": spec.free, **given}.items():
@@ -104,6 +121,24 @@ def _values(problem: Problem, spec: CarrierSpec, robot: Robot) -> dict[str, floa
                 raise problem.error(where, f"it is outside the range of joint {name!r}", valid)
             out[name] = value
     return out
+
+
+def given_limits(
+    problem: Problem, name: str, own: JointLimitsSpec, slides: bool
+) -> tuple[tuple[float, float] | None, tuple[float | None, ...]]:
+    """Range, and greatest speed, acceleration and jerk of a joint, as far as `cell.limits` gives them; InputError where they
+    are those of a joint of the other kind."""
+    ways = {
+        False: (own.range, own.speed, own.acceleration, own.jerk),
+        True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
+    }
+    if any(value is not None for value in ways[not slides]):
+        way, keys = ("slides", "range_mm, speed_mm_s, acceleration_mm_s2, jerk_mm_s3") if slides else (
+            "turns", "range_deg, speed_deg_s, acceleration_rad_s2, jerk_rad_s3"
+        )  # fmt: skip
+        raise problem.error(f"cell.limits.{name}", f"this joint {way}", f"its limits are {keys}")
+    range_, *rates = ways[slides]
+    return range_, tuple(rates)
 
 
 def in_words(low: float, high: float, slides: bool) -> str:
@@ -132,7 +167,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
     q = np.array([held.get(name, 0.0) for name in robot.joint_names])
     locked = [robot.model.getJointId(name) for name in held]
     model = pin.buildReducedModel(robot.model, locked, q)
-    taken = {*arm.joint_names, *(frame.name for frame in arm.model.frames)}
+    taken = _taken(arm)
     tip = link_frame(model, robot.tip)
     for i in range(1, model.njoints):
         if model.names[i] in taken:

@@ -12,7 +12,7 @@ import pinocchio as pin
 from planner.base.arrays import Array, Flags, Indices
 from planner.base.errors import Refusal, nearest_name
 from planner.cell.bodies import OF, fixture_bodies, head_bodies
-from planner.cell.carrier import Carrier, carried_arm, in_words
+from planner.cell.carrier import Carrier, carried_arm, given_limits, in_words
 from planner.cell.kinematics.chain import Chain
 from planner.cell.kinematics.inverse import InverseKinematics, OnRail, given_joints, with_rest
 from planner.cell.kinematics.placed_wrist import PlacedWrist
@@ -21,7 +21,7 @@ from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, chain_of, load_robot
 from planner.cell.solids import Body
 from planner.problem import Problem
-from planner.problem.cell import CellSpec, JointLimitsSpec, PositionerSpec
+from planner.problem.cell import CellSpec, PositionerSpec
 
 REVOLUTION = 2.0 * np.pi
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
@@ -338,26 +338,29 @@ def build_cell(problem: Problem) -> Cell:
     T_world_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.base_rpy)
     nozzles = _flange_nozzles(problem)
     T_flange_nozzle = nozzles[0].T_flange_nozzle
-    carried = None if spec.carrier is None else carried_arm(problem, spec.carrier, arm_robot)
+    holder_robot = (
+        None if spec.positioner is None else load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
+    )
+    others = () if holder_robot is None else holder_robot.joint_names
+    carried = None if spec.carrier is None else carried_arm(problem, spec.carrier, arm_robot, others)
     if carried is not None:
         arm_robot, T_world_base = carried.robot, T_world_base @ carried.T_carrier_base
     arm = chain_of(arm_robot, T_world_base, T_flange_nozzle, arm_robot.joint_names, {})
 
     T_plate_part = np.eye(4)
-    if spec.positioner is None:
-        holder_robot, held, held_range = None, {}, {}
+    if spec.positioner is None or holder_robot is None:
+        held, held_range = {}, {}
         T_world_holder_base = translation(np.asarray(spec.bed))
         T_world_holder_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.bed_rpy)
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 6)), T_world_holder_base)
     else:
-        holder_robot = load_robot(spec.positioner.robot, problem, "cell.positioner.robot")
         held, held_range = _held(problem, spec.positioner, holder_robot, arm)
         T_plate_part[:3, :3] = pin.rpy.rpyToMatrix(*spec.positioner.part_rpy)
         T_plate_part[:3, 3] = spec.positioner.part
         T_world_holder_base = _holder_base(spec.positioner, holder_robot)
         holder = chain_of(holder_robot, T_world_holder_base, T_plate_part, spec.positioner.free, held)
 
-    limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder)
+    limits = _limits(problem, spec, arm_robot, arm, holder_robot, holder, () if carried is None else carried.still)
     before = () if carried is None else carried.home
     na, own = len(arm), arm.names[len(before) :]
     if len(spec.home) != len(own):
@@ -468,7 +471,7 @@ def _held(
             continue
         called = _in_cell(name, arm)
         own = problem.cell.limits.get(called)
-        range_ = None if own is None else _given_limits(problem, called, own, slides[name])[0]
+        range_ = None if own is None else given_limits(problem, called, own, slides[name])[0]
         low, high = range_ or (float(robot.model.lowerPositionLimit[i]), float(robot.model.upperPositionLimit[i]))
         ranges[name] = low, high
         named = "held_mm" if slides[name] else "held_deg"
@@ -499,28 +502,17 @@ def _in_cell(name: str, arm: Chain) -> str:
     return f"positioner_{name}" if name in arm.names else name
 
 
-def _given_limits(
-    problem: Problem, name: str, own: JointLimitsSpec, slides: bool
-) -> tuple[tuple[float, float] | None, tuple[float | None, ...]]:
-    """Range, and greatest speed, acceleration and jerk of a joint, as far as `cell.limits` gives them; InputError where they
-    are those of a joint of the other kind."""
-    ways = {
-        False: (own.range, own.speed, own.acceleration, own.jerk),
-        True: (own.range_mm, own.speed_mm_s, own.acceleration_mm_s2, own.jerk_mm_s3),
-    }
-    if any(value is not None for value in ways[not slides]):
-        way, keys = ("slides", "range_mm, speed_mm_s, acceleration_mm_s2, jerk_mm_s3") if slides else (
-            "turns", "range_deg, speed_deg_s, acceleration_rad_s2, jerk_rad_s3"
-        )  # fmt: skip
-        raise problem.error(f"cell.limits.{name}", f"this joint {way}", f"its limits are {keys}")
-    range_, *rates = ways[slides]
-    return range_, tuple(rates)
-
-
 def _limits(
-    problem: Problem, spec: CellSpec, arm_robot: Robot, arm: Chain, holder_robot: Robot | None, holder: Chain
+    problem: Problem,
+    spec: CellSpec,
+    arm_robot: Robot,
+    arm: Chain,
+    holder_robot: Robot | None,
+    holder: Chain,
+    below: tuple[str, ...],
 ) -> Limits:
-    """Limits of all joints that move; those of an axis that holds the part still are looked at by `_held`."""
+    """Limits of all joints that move; those of an axis that holds the part still are looked at by `_held`, those of a joint
+    below the arm that stands (below) by `carried_arm`."""
     rows = []
     for robot, chain in ((arm_robot, arm), (holder_robot, holder)):
         if robot is None:
@@ -534,7 +526,7 @@ def _limits(
     names = list(_joint_names(arm, holder))
     sliding = tuple(np.flatnonzero(np.concatenate([arm.slides, holder.slides])).tolist())
     still = () if holder_robot is None else (_in_cell(name, arm) for name in holder_robot.joint_names)
-    held = set(still) - set(names)
+    held = {*still, *below} - set(names)
     for name, own in spec.limits.items():
         if name in held:
             continue
@@ -544,7 +536,7 @@ def _limits(
             raise problem.error(f"cell.limits.{name}", "no such joint", hint)
         j = names.index(name)
         row = table[j]
-        range_, rates = _given_limits(problem, name, own, j in sliding)
+        range_, rates = given_limits(problem, name, own, j in sliding)
         if range_ is not None:
             row[:2] = range_
         for k, value in enumerate(rates, 2):
