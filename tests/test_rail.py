@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from dataclasses import replace
@@ -21,7 +22,7 @@ from planner.cell.cell import Cell, build_cell, rigid_inverse
 from planner.cell.kinematics.inverse import OnRail, kind_of, solve_one, solver_of
 from planner.cell.solids import Body, Box
 from planner.collision.margins import nearest_margins
-from planner.collision.scene import NOTHING, PART, obstacles_of
+from planner.collision.scene import NOTHING, PART, collision_bodies, may_touch, obstacles_of
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
 from planner.export.program import ProblemSetup
@@ -45,7 +46,7 @@ from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
 from planner.verify.as_run import as_run
-from planner.verify.bodies import CellBodies
+from planner.verify.bodies import CellBodies, pairs
 from planner.verify.verdict import verify
 
 ROWS = 6  # nearest pairs of a posture that are looked at
@@ -265,6 +266,32 @@ def test_a_carrier_that_stands_only_moves_the_base(tmp_path: Path) -> None:
     assert len(cell.arm) == 6
     np.testing.assert_allclose(cell.T_world_base[:3, 3], [0.7, 0.0, 0.3], atol=1e-12)
     assert len(cell.arm_robot.bodies[0]) > 4  # the track's as well
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [
+        "free: [gantry_x, gantry_y]",
+        "free: [gantry_x]\n    held_mm: {gantry_y: 1000}",
+        "free: []\n    held_mm: {gantry_x: 1500, gantry_y: 1000}",
+    ],
+    ids=["free", "one held", "held"],
+)
+def test_what_is_checked_of_a_carrier_is_the_same_whichever_joints_are_held(tmp_path: Path, joints: str) -> None:
+    """The arm's foot hangs from the trolley: frame and bridge are no neighbours of its first link."""
+    cell = build_cell(problem(tmp_path, (BASE, f"    robot: gantry_xy\n    {joints}\n")))
+    cell = replace(cell, fixtures=())
+    bodies, planned = CellBodies.of(cell), collision_bodies(cell)
+    checked = {(bodies.things[pair.a].link, bodies.things[pair.b].link) for pair in pairs(bodies, 2e-3, 5e-3)}
+    searched = {
+        (a.body.link, b.body.link)
+        for a, b in itertools.combinations(planned, 2)
+        if may_touch(a, b, len(cell.arm)) and a.body.link and b.body.link
+    }
+    for found in (checked, searched):
+        assert {a for a, b in found if b == "link_1"} == {"frame", "bridge"}
+        assert {"frame", "bridge", "trolley"} <= {a for a, b in found if b == "link_2"}
+        assert not {("frame", "bridge"), ("bridge", "trolley")} & found
 
 
 WRONG = {

@@ -150,7 +150,7 @@ def in_words(low: float, high: float, slides: bool) -> str:
 def _standing(robot: Robot, held: dict[str, float], arm: Robot, T_carrier_base: Array) -> Robot:
     """The arm on a carrier that does not move: its bodies are those of the arm's foot."""
     back: Array = np.asarray(np.linalg.inv(T_carrier_base), dtype=np.float64)
-    foot = tuple(_moved(body, back) for body in _carried(robot, robot.bodies, held, ())[0])
+    foot = tuple(_moved(body, back) for body in _bodies(robot, held, ())[0])
     feet = tuple(_moved(look, back) for look in _carried(robot, robot.looks, held, ())[0])
     return replace(
         arm,
@@ -189,7 +189,7 @@ def _joined(robot: Robot, free: tuple[str, ...], held: dict[str, float], arm: Ro
         jerk=np.append(robot.jerk[moving], arm.jerk),
         inverse=_on_rail(arm, chain),
         assumed=_both(robot, arm),
-        bodies=_stacked(_carried(robot, robot.bodies, held, free), arm.bodies, chain.T_last_tip),
+        bodies=_stacked(_bodies(robot, held, free), arm.bodies, chain.T_last_tip),
         looks=_stacked(_carried(robot, robot.looks, held, free), arm.looks, chain.T_last_tip),
     )
 
@@ -199,6 +199,15 @@ def _on_rail(arm: Robot, chain: Chain) -> OnRail:
         raise TypeError(f"{arm.key} is no arm that stands")
     rest = getattr(getattr(arm.inverse, "nominal", arm.inverse), "rest", None)
     return OnRail(arm.inverse, chain, (*(0.0,) * len(chain), *(() if rest is None else (rest,))))
+
+
+def _bodies(robot: Robot, held: dict[str, float], free: tuple[str, ...]) -> list[tuple[Body, ...]]:
+    """Bodies as `_carried` has them. Of those that the arm's foot does not move against, all but the last link's are no
+    neighbours of the arm's first link, as where every joint is free."""
+    first = max((1 + robot.joint_names.index(name) for name in free), default=0)
+    last = len(robot.joint_names)
+    own = [tuple(replace(body, below=first <= i < last) for body in bodies) for i, bodies in enumerate(robot.bodies)]
+    return _carried(robot, own, held, free)
 
 
 def _carried(

@@ -112,6 +112,8 @@ class Body:
     link    of a robot: the URDF's link that it belongs to
     beside  names of links of the same robot with which it may be in touch
     colour, trim  in pictures, such as #f47a20: its own, and of covers on joints; empty where its robot's file names none
+    below   of what carries an arm: held still against the arm's foot, which does not stand on it, so that it is no neighbour
+            of the arm's first link
     """
 
     name: str
@@ -121,6 +123,7 @@ class Body:
     beside: frozenset[str] = frozenset()
     colour: str = ""
     trim: str = ""
+    below: bool = False
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,8 @@ def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
         return False
     whose = {a.whose, b.whose}
     if whose == {ARM}:
-        return abs(a.link - b.link) > 1 and not in_touch(a.body, b.body)
+        low, high = (a, b) if a.link < b.link else (b, a)
+        return high.link - low.link + low.body.below > 1 and not in_touch(a.body, b.body)
     if whose == {ARM, HEAD}:
         return min(a.link, b.link) < last
     if whose & {ARM, HEAD}:

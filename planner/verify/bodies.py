@@ -33,6 +33,7 @@ class CheckedBody:
     geometry, T_carrier_geometry   coal's
     centre, reach                  of a ball around it (3), in the carrier's frame [m]
     link, beside                   whose it is, and which links of its robot it may touch, as its file says
+    below     of what carries an arm: no neighbour of the arm's first link, though nothing moves between it and the foot
     """
 
     name: str
@@ -47,6 +48,7 @@ class CheckedBody:
     reach: float
     link: str = ""
     beside: frozenset[str] = frozenset()
+    below: bool = False
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,8 @@ def _candidates(bodies: CellBodies) -> Iterator[tuple[int, int, int]]:
             if _same(a, b):
                 bolted = bool({HEAD, CARRIED} & {a.kind, b.kind})  # to a flange: no link, and beside none
                 named = a.kind == b.kind and b.link in a.beside
-                if a.joints < b.joints and (b.joints - a.joints > 1 or bolted) and not named:
+                between = b.joints - a.joints + a.below
+                if a.joints < b.joints and (between > 1 or bolted) and not named:
                     yield i, j, a.joints
             elif i < j and HEAD in (a.kind, b.kind):
                 other = b if a.kind == HEAD else a
@@ -344,7 +347,19 @@ def _thing(body: Body, kind: str, carrier: int, joints: int, T_carrier_frame: Ar
     reach = float(np.linalg.norm(vertices - middle, axis=1).max()) / float(np.cos(np.pi / _CORNERS))
     centre = T[:3, :3] @ middle + T[:3, 3]
     return CheckedBody(
-        body.name, kind, carrier, joints, body.solid, T, geometry, T @ shift, centre, reach, body.link, body.beside
+        body.name,
+        kind,
+        carrier,
+        joints,
+        body.solid,
+        T,
+        geometry,
+        T @ shift,
+        centre,
+        reach,
+        body.link,
+        body.beside,
+        body.below,
     )
 
 
