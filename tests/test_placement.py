@@ -41,6 +41,7 @@ from planner.place.search import Axis, ScoredPoint, lattice, one_by_one, polish,
 from planner.place.site import (
     PartPlace,
     StudyRequest,
+    _at_the_foot,
     axes_of,
     changed_fields,
     moved_cell,
@@ -209,6 +210,17 @@ def test_out_of_reach_scores_nothing(bed: Problem, bed_tasks: tuple[NozzleTask, 
     away = moved_cell(cell, now, replace(now, x=now.x - 2.0 * reach(cell)))
     assert score(away, course(bed, bed_tasks), 0.05) == 0.0
     assert rate(away, course(bed, bed_tasks), 0.05).score == 0.0
+
+
+def test_the_foot_is_around_axis_1_wherever_that_points(bed: Problem, bed_tasks: tuple[NozzleTask, ...]) -> None:
+    """On a wall it is level: what lies below it is no foot, what lies before the wall on it is."""
+    on_wall = load_problem(bed.file, ["cell.base_mm=[0, 0, 900]", "cell.base_rpy_deg=[0, 90, 0]"])
+    cell, now, looked_at = build_cell(on_wall), place_of(on_wall), [course(on_wall, bed_tasks)]
+    for at, near in (((0.2, 0.0, 0.2), False), ((0.6, 0.0, 0.9), True), ((0.6, 0.6, 0.9), False)):
+        place = PartPlace(*at, now.turn)
+        assert _at_the_foot(moved_cell(cell, now, place), looked_at) == near, at
+    standing, here = build_cell(bed), place_of(bed)
+    assert _at_the_foot(moved_cell(standing, here, replace(here, x=0.1, y=0.0)), looked_at)
 
 
 # --- arms that are carried, and several nozzles ---------------------------------------------------------------------

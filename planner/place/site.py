@@ -332,11 +332,12 @@ def surroundings(strategy: str, problem: Problem, cell: Cell, toolpath: Toolpath
 
 
 def _at_the_foot(cell: Cell, courses: Sequence[Course]) -> bool:
-    """Whether the path, or what carries it, comes to where the arm's foot stands, holder at home; a carried arm can leave."""
+    """Whether the path, or what carries it, comes near the arm's first axis, holder at home; a carried arm can leave."""
     if cell.rails:
         return False
     T_world_part = cell.holder.poses(cell.home[None, len(cell.arm) :])[0]
     tips = np.vstack([course.demand.tip[course.demand.rung] for course in courses])
     points = np.vstack([tips @ T_world_part[:3, :3].T + T_world_part[:3, 3], cell.T_world_holder_base[:3, 3]])
-    nearest = np.linalg.norm(points[:, :2] - cell.T_world_base[:2, 3], axis=1).min()
+    axis = cell.arm.screws[0]
+    nearest = np.linalg.norm(np.cross(points - axis[:3], axis[3:]), axis=1).min()
     return bool(nearest < FOOT_SHARE * reach(cell))
