@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -207,3 +208,16 @@ def test_what_is_reached() -> None:
     assert near.worth > 0.5
     assert len(near.postures) > 1
     assert reached(robot, tip, np.array([[0.5, 0.0, 0.1], [2.0, 0.0, 0.1]]), DOWN).worth == 0.0
+
+
+def test_postures_are_counted_as_the_ranges_are() -> None:
+    """An arm whose joints are counted a turn further is reached as well, in postures within its ranges."""
+    robot = read_robot(ROBOTS / "irb140.yaml")
+    tip, points = np.array([0.0, 0.0, 0.15]), np.array([[0.5, 0.0, 0.1]])
+    low, high = robot.model.lowerPositionLimit + 2.0 * np.pi, robot.model.upperPositionLimit + 2.0 * np.pi
+    further = robot.model.copy()
+    further.lowerPositionLimit, further.upperPositionLimit = low, high
+    found = reached(replace(robot, model=further), tip, points, DOWN)
+    assert found.worth == pytest.approx(reached(robot, tip, points, DOWN).worth)
+    assert len(found.postures) > 1
+    assert ((found.postures >= low) & (found.postures <= high)).all()

@@ -639,6 +639,20 @@ def test_places_that_are_not_clear_are_not_suggested() -> None:
     assert after.points[other][:, 0].max() < before.points[best][:, 0].max() - 5e-3
 
 
+def test_postures_that_touch_are_counted_as_the_ranges_are() -> None:
+    """Of joints that are counted a turn further, all places are reached as before, within the ranges."""
+    here = scene("cylinder_logo")
+    cell, limits, na = here.cell, here.cell.limits, len(here.cell.arm)
+    frames = [frame_from_z(p, -n) for p, n in zip(here.points, here.normals, strict=True)]
+    poses = (np.array(frames)[:, None] @ rolls()).reshape(-1, 4, 4)
+    turn = np.append(np.full(na, 2.0 * np.pi), np.zeros(len(limits.q_min) - na))
+    further = replace(cell, limits=replace(limits, q_min=limits.q_min + turn, q_max=limits.q_max + turn))
+    (q, able), (other, also) = (reached(each, here.start, poses, cell.home[na:]) for each in (cell, further))
+    assert able.any()
+    np.testing.assert_array_equal(also, able)
+    np.testing.assert_allclose(np.cos(other[able] - q[able]), 1.0, rtol=0, atol=1e-12)
+
+
 def test_no_place_within_reach() -> None:
     far = scene("hemisphere_honeycomb", "cell.bed_mm=[5600, 0, 290]")
     with pytest.raises(InputError, match="can touch no place"):

@@ -546,6 +546,12 @@ def _limits(
     return Limits(q_min, q_max, velocity, acceleration, jerk, sliding)
 
 
+def turned_into(q: Array, low: Array, high: Array) -> Array:
+    """Angles (..., n) [rad] of joints that turn, each in the turn nearest to the middle of its range (n), low to high:
+    within it, where any turn is."""
+    return np.asarray(q + REVOLUTION * np.round((0.5 * (low + high) - q) / REVOLUTION))
+
+
 def translation(p: Array) -> Array:
     """Homogeneous transform (4, 4) of a pure translation [m]."""
     T = np.eye(4)

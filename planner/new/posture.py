@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.cell.cell import frame_from_z
+from planner.cell.cell import frame_from_z, turned_into
 from planner.cell.robot import Robot, chain_of
 
 ROLLS = 24  # tried rotations about the nozzle's axis
@@ -56,6 +56,7 @@ def reached(robot: Robot, tip: Array, points: Array, axis: Array, along: Array =
     many = np.repeat(poses.reshape(-1, 4, 4), len(chosen), axis=0)
     q, there = inverse.solve(many, np.tile(chosen, len(poses) * ROLLS))
     q, there = q.reshape(len(points), -1, inverse.joints), there.reshape(len(points), -1)
+    q = turned_into(q, model.lowerPositionLimit, model.upperPositionLimit)
     room = np.minimum(q - model.lowerPositionLimit, model.upperPositionLimit - q).min(axis=-1)
     chain = chain_of(robot, np.eye(4), T_flange_nozzle, robot.joint_names, {})
     sigma = np.zeros(there.shape)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, ReadOnlyArrays
-from planner.cell.cell import Cell, frame_from_z, rigid_inverse
+from planner.cell.cell import Cell, frame_from_z, rigid_inverse, turned_into
 from planner.cell.solids import triangles_of
 from planner.problem import Problem
 from planner.register.contacts import plate_poses
@@ -99,7 +99,9 @@ def reached(cell: Cell, placement: Placement, T_part_nozzle: Array, q: Array) ->
     T = T_base_part @ T_part_nozzle @ rigid_inverse(cell.T_flange_nozzle)
     found = [cell.inverse.solve(T, np.tile(at, (len(T), 1)) if given else None) for at in _stands(cell, given)]
     postures, exists = (np.concatenate(each, axis=1) for each in zip(*found, strict=True))
-    inside = (postures >= cell.limits.q_min[:na]) & (postures <= cell.limits.q_max[:na])
+    low, high = cell.limits.q_min[:na], cell.limits.q_max[:na]
+    postures = np.where(cell.limits.turns[:na], turned_into(postures, low, high), postures)
+    inside = (postures >= low) & (postures <= high)
     return postures, exists & inside.all(axis=2)
 
 
