@@ -29,7 +29,7 @@ from planner.register.command import main
 from planner.register.contacts import locate, plate_poses, read_readings, settled
 from planner.register.finding import Ask, as_published, plan_contacts, register, scene_of, suggest_next
 from planner.register.fitting import FREEDOMS, UNKNOWNS, Placement, looked_for, most_wrong, rows, slopes, split, words
-from planner.register.places import reached, rolls
+from planner.register.places import TouchPlaces, most_telling, reached, rolls
 from planner.register.telling import changes_of, published_lines, rpy_degrees, turntable_lines
 
 # Placement
@@ -651,6 +651,23 @@ def test_postures_that_touch_are_counted_as_the_ranges_are() -> None:
     assert able.any()
     np.testing.assert_array_equal(also, able)
     np.testing.assert_allclose(np.cos(other[able] - q[able]), 1.0, rtol=0, atol=1e-12)
+
+
+def test_no_place_is_suggested_beside_another(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of three places, each there three times within 2 mm, no more than three are suggested, and that is said."""
+    points = np.vstack([0.01 * np.eye(3), 0.01 * np.eye(3) + 1e-3, 0.01 * np.eye(3)])
+    places = TouchPlaces(points, np.tile(np.eye(3), (3, 1)), np.empty((9, 0)), np.tile(np.eye(4), (9, 1, 1)))
+    unknowns = looked_for(("x", "y", "z"), np.zeros((3, 0)), False, points)
+    best = most_telling(places, unknowns, Placement(np.eye(4), np.zeros(3)), 8)
+    assert sorted(k % 3 for k in best) == [0, 1, 2]
+    here = scene("hemisphere_honeycomb")
+    monkeypatch.setattr(command, "scene_of", lambda *_: here)
+    monkeypatch.setattr(command, "plan_contacts", lambda *_: (places, best))
+    code, text = run("--suggest", "8", "hemisphere_honeycomb")
+    assert code == EXIT_VERIFIED and len(text.splitlines()) == 3
+    assert "3 of 8: no other place" in capsys.readouterr().err
 
 
 def test_no_place_within_reach() -> None:

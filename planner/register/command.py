@@ -30,6 +30,7 @@ from planner.register.finding import (
     suggest_next,
 )
 from planner.register.fitting import FREEDOMS
+from planner.register.places import APART
 from planner.register.scans import SCANS, is_scan, register_scan
 from planner.register.telling import (
     KINDS,
@@ -99,6 +100,9 @@ def _suggest(options: argparse.Namespace) -> int:
     scene = scene_of(load_problem(options.problem), options.nozzle)
     places, chosen = plan_contacts(scene, _ask(options), options.suggest)
     print("\n".join(f"{i}: {place_words(scene, places, k, scene.start)}" for i, k in enumerate(chosen, 1)))
+    if len(chosen) < options.suggest:
+        few = f"{len(chosen)} of {options.suggest}: no other place in reach is {APART * 1e3:g} mm from all of these"
+        print(few, file=sys.stderr)
     return EXIT_VERIFIED
 
 

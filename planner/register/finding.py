@@ -307,7 +307,8 @@ def _hit(clearance: Clearance, placement: Placement, places: TouchPlaces, k: int
 
 
 def plan_contacts(scene: Scene, ask: Ask, count: int) -> tuple[TouchPlaces, list[int]]:
-    """Where to touch before anything was touched: places, and which of them (count).
+    """Where to touch before anything was touched: places, and which of them (count, or as many as are far enough from each
+    other).
 
     Raises InputError where the arm reaches none of them and is clear of everything else.
     """

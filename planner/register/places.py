@@ -115,7 +115,7 @@ _RIM = 5e-3  # m: no place so close to the lower edge of the body, where what it
 _CLEAR = (2e-3, 10e-3, 40e-3)  # m above a place where the nozzle is, and the part must not be
 _BESIDE, _BENT = 8e-3, 2e-3  # m to all sides, where the surface is no farther off: a place away from rims and edges
 _ANGLES = 12  # of a chosen joint, that are tried
-_APART = 5e-3  # m between places: closer ones tell nothing new of where a touch went wrong
+APART = 5e-3  # m between places: closer ones tell nothing new of where a touch went wrong
 # Square of the noise of a touch, 0.1 mm, over how well the placement is known before, 10 mm: makes few contacts comparable.
 _ROUGH = (0.1 / 10.0) ** 2
 _ROUNDS = 8
@@ -222,23 +222,24 @@ def reachable(cell: Cell, placement: Placement, points: Array, normals: Array) -
 
 
 def most_telling(places: TouchPlaces, unknowns: Unknowns, placement: Placement, count: int) -> list[int]:
-    """Which places (count of them) fix the unknowns best: the determinant of what they tell, by exchange (Fedorov)."""
+    """Which places (count of them, or as many as are APART) fix the unknowns best: the determinant of what they tell, by
+    exchange (Fedorov)."""
     J = places.columns(unknowns, placement)
     rough = _ROUGH * np.eye(J.shape[1])
     chosen: list[int] = []
 
-    def best(others: list[int]) -> int:
+    def gains(others: list[int]) -> Array:
         C = np.linalg.inv(J[others].T @ J[others] + rough)
         gain = np.einsum("ij,jk,ik->i", J, C, J)
         gain[_taken(places, others, unknowns.table)] = -1.0
-        return int(np.argmax(gain))
+        return np.asarray(gain)
 
-    for _ in range(count):
-        chosen.append(best(chosen))
+    while len(chosen) < count and (gain := gains(chosen)).max() >= 0.0:
+        chosen.append(int(np.argmax(gain)))
     for _ in range(_ROUNDS):
         before = list(chosen)
-        for k in range(count):
-            chosen[k] = best(chosen[:k] + chosen[k + 1 :])
+        for k in range(len(chosen)):
+            chosen[k] = int(np.argmax(gains(chosen[:k] + chosen[k + 1 :])))  # it may stay where it is
         if chosen == before:
             break
     return chosen
@@ -258,7 +259,7 @@ def next_place(
     variance = np.einsum("ij,jk,ik->i", heights, C, heights)
     gain = (heights @ C @ J.T) ** 2 / (1.0 + np.einsum("ij,jk,ik->i", J, C, J))
     worst = (variance[:, None] - gain).max(axis=0)
-    near = np.linalg.norm(places.points[:, None] - touched[None], axis=2).min(axis=1) < _APART
+    near = np.linalg.norm(places.points[:, None] - touched[None], axis=2).min(axis=1) < APART
     worst = np.where(near & ~near.all(), np.inf, worst)
     k = int(np.argmin(worst))
     return k, float(np.sqrt(max(worst[k], 0.0) / variance.max()))
@@ -268,7 +269,7 @@ def _taken(places: TouchPlaces, others: list[int], table: bool) -> NDArray[np.bo
     """Which places are too near one of the others; where a table is looked for, at the same angles of the holder."""
     out = np.zeros(len(places), dtype=bool)
     for k in others:
-        near = np.linalg.norm(places.points - places.points[k], axis=1) < _APART
+        near = np.linalg.norm(places.points - places.points[k], axis=1) < APART
         out |= near & ((np.abs(places.q - places.q[k]).max(axis=1, initial=0.0) < 1e-6) | (not table))
     return out
 
