@@ -8,7 +8,17 @@ import pytest
 from planner.cell.cell import build_cell
 from planner.cell.solids import Body, Box
 from planner.collision.point_tree import FROM_THE_START
-from planner.collision.print_body import CLEARANCE, PrintBody, merged, print_body, split, standing
+from planner.collision.print_body import (
+    CLEARANCE,
+    CORNER_AREA,
+    MERGED,
+    PrintBody,
+    _sides,
+    merged,
+    print_body,
+    split,
+    standing,
+)
 from planner.problem import load_problem
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
@@ -113,3 +123,22 @@ def test_no_place_of_a_surface_is_farther_from_a_point_than_is_said() -> None:
     away = np.linalg.norm(places[:, None] - points[None], axis=2)
     assert (away - far).min(axis=1).max() <= 1e-12
     assert away.min(axis=1).max() > 0.5 * far.max()  # and it is not said of much more
+
+
+@pytest.mark.parametrize(
+    ("wide", "near", "far"), [(0.05, 1.4e-3, 4e-3), (0.3, 1.732e-3, 4e-3), (0.7, 1.849e-3, 4.041e-3)]
+)
+def test_balls_on_a_large_bed_are_no_larger_than_beads_bear(wide: float, near: float, far: float) -> None:
+    """Right beneath the nozzle of the first layer there is a bead's height, and what the rule for the tip lets it lack."""
+    bed = wide * np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
+    borne = 0.75 * (0.5e-3 + 0.25 * 0.6e-3)
+    sides = _sides([bed], [np.ones(2, dtype=bool)], borne)
+    assert sides == pytest.approx((near, far), rel=1e-3)
+    _, spread = merged(split(np.ascontiguousarray(bed * 0.02 / wide), sides[0]), MERGED * sides[0])
+    assert np.hypot(CLEARANCE, spread).max() - CLEARANCE <= borne
+
+
+def test_points_on_a_bed_of_many_square_metres_stay_countable() -> None:
+    bed = 5.0 * np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]]], dtype=float)
+    near, _ = _sides([bed], [np.ones(1, dtype=bool)], 0.5e-3)
+    assert 0.5 * 5.0**2 / (CORNER_AREA * near**2) == pytest.approx(1e6)

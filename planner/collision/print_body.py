@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -191,7 +192,10 @@ TIP_SLOPE = 0.25
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
-_MOST = 100_000  # points of either kind, about: more and they stand farther apart
+_MOST = 100_000  # points of either kind, about: more and they stand farther apart,
+_MOST_NEAR = 1_000_000  # near beads so many rather than balls that are larger than beads bear
+_SPREAD = 0.8  # of that side, from which no place is farther than from a corner: of any triangle, corners merged
+_BORNE = 0.75  # of what a bead bears, that balls may be large: a nozzle that leans has less room beneath it
 CORNER_AREA = 0.3  # of the square of that side, of the surface that falls to one corner
 MERGED = 0.125  # of that side: corners nearer to each other count as one
 _OVERHANG = 0.25  # of the height by which a bead may be wider than its balls
@@ -253,7 +257,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
         split(without_slivers(np.ascontiguousarray(triangles, dtype=float), _NEAR), _NEAR) for _, triangles in surfaces
     ]
     near = [_is_near(each, tips) for each in pieces]
-    sides = _sides(pieces, near)
+    sides = _sides(pieces, near, _BORNE * min(float((bead.height + TIP_SLOPE * bead.width).min()) for bead in beads))
     names, points, radius, time = [], [], [], []
     for k, ((name, _), piece, by) in enumerate(zip(surfaces, pieces, near, strict=True)):
         at, spread = _spread(piece, by, sides)
@@ -349,14 +353,17 @@ def _corners(body: Body) -> Array:
     return np.asarray((vertices @ T[:3, :3].T + T[:3, 3])[triangles])
 
 
-def _sides(surfaces: Sequence[Array], near: Sequence[Flags]) -> tuple[float, float]:
-    """Longest sides of triangles near beads and elsewhere [m], for which the points do not become too many."""
+def _sides(surfaces: Sequence[Array], near: Sequence[Flags], borne: float) -> tuple[float, float]:
+    """Longest sides of triangles near beads and elsewhere [m], for which the points do not become too many; near beads their
+    balls are no larger than is borne [m]."""
     areas = np.zeros(2)
     for pieces, by in zip(surfaces, near, strict=True):
         area = 0.5 * np.linalg.norm(np.cross(pieces[:, 1] - pieces[:, 0], pieces[:, 2] - pieces[:, 0]), axis=1)
         areas += [float(area[by].sum()), float(area[~by].sum())]
     fine, coarse = np.sqrt(areas / (_MOST * CORNER_AREA)).tolist()
-    return max(_FINE, fine), max(_COARSE, fine, coarse)
+    most = math.sqrt((CLEARANCE + borne) ** 2 - CLEARANCE**2) / _SPREAD
+    close = max(min(fine, most), math.sqrt(_MOST / _MOST_NEAR) * fine)
+    return max(_FINE, close), max(_COARSE, fine, coarse)
 
 
 def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Array, Array]:
