@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 from solved import solve_alone, write_small
 
+import planner.motion.interlayer
 import planner.planning.pipeline
 from planner.base.arrays import Array, Ints
 from planner.base.errors import InputError
@@ -261,6 +262,23 @@ def test_beginnings_are_the_earliest_that_keep_all_lags(seed: int) -> None:
     assert (found is None) == (best.status == 2)
     if found is not None:
         assert found == pytest.approx(best.x, abs=1e-6)
+
+
+def test_lags_over_many_layers_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two beads in each layer both lie on those below: none begins before the layer below has had its time."""
+    monkeypatch.setattr(planner.motion.interlayer, "_MOST_WORK", 0)
+    layers = 300
+    n = 2 * layers
+    lower, upper = np.arange(n - 2), np.arange(2, n)
+    lags = Lags(lower, upper, np.full(n - 2, 5.0), np.full(n - 2, np.inf))
+    edges = (
+        np.concatenate([np.arange(n - 1), lower]),
+        np.concatenate([np.arange(1, n), upper]),
+        np.append(np.ones(n - 1), lags.least),
+    )
+    found = _longest(n, edges, lags, np.inf)
+    assert found is not None
+    assert found == pytest.approx(np.add.outer(5.0 * np.arange(layers), [0.0, 1.0]).ravel())
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import NegativeCycleError, bellman_ford
 
 from planner.base.arrays import Array, Ints
+from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
 from planner.motion.timing.timed_path import TimedPath
@@ -140,23 +141,38 @@ def _longest(n: int, edges: tuple[Ints, Ints, Array], lags: Lags, more: float) -
 
 
 def _swept(n: int, before: Ints, after: Ints, least: Array) -> Array | None:
-    """The same in few sweeps over all edges, where it can be had so: each bead follows the one before it, so that a sweep takes
-    whatever changes to the end at once. None where it cannot, or there is no solution."""
+    """The same in few sweeps over all edges in the order of beads, where it can be had so: a sweep takes whatever changes to
+    the end at once, and only edges that lead back, of greatest lags, ask for more of them. None where it cannot, or there is
+    no solution."""
+    order = np.argsort(after, kind="stable")
+    before, after, least = before[order], after[order], least[order]
     chain = np.full(n - 1, -np.inf)
     next_ = after == before + 1
     np.maximum.at(chain, before[next_], least[next_])
     usual = np.append(0.0, np.cumsum(chain))
     more, start = least - (usual[after] - usual[before]), np.zeros(n)
     for _ in range(_SWEEPS):
-        swept = start.copy()
-        np.maximum.at(swept, after, start[before] + more)
-        swept = np.maximum.accumulate(swept)
-        if swept[0] > _ROUNDING:
+        later = _sweep(start, before, after, more)
+        if start[0] > _ROUNDING:
             return None
-        if (swept <= start + _ROUNDING).all():
+        if not later:
             return start + usual
-        start = swept
     return None
+
+
+@njit(cache=True)
+def _sweep(start: Array, before: Ints, after: Ints, more: Array) -> bool:
+    """Put beginnings (n) off where edges, sorted by the beads that they lead to, or the bead before ask for it; whether any
+    has been."""
+    later, k, due = False, 0, start[0]
+    for j in range(len(start)):
+        due = max(due, start[j])
+        while k < len(after) and after[k] == j:
+            due = max(due, start[before[k]] + more[k])
+            k += 1
+        if due > start[j] + _ROUNDING:
+            start[j], later = due, True
+    return later
 
 
 def _least(process: ProcessSpec, travel: Travel, visit: Visit | None) -> float:
