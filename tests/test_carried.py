@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_travel import check_joined, check_limits, check_smooth, still, tip_speed
 
+import planner.planning.pipeline
 from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState, extremes
 from planner.motion.timing.profile import HEADROOM
@@ -20,6 +22,7 @@ from planner.motion.trajectory import join
 from planner.motion.travel.plan import ViaRest, between_ends, carried_travels, plan_travels, slower
 from planner.plan.robustness import Displacement
 from planner.planning.options import DEFAULT_DT
+from planner.planning.pipeline import _elsewhere
 from planner.planning.robustness import displaced, followed, middle_of
 from planner.problem import Problem
 from planner.problem.process import FilamentMoveSpec
@@ -147,3 +150,33 @@ def test_home_is_passed_on_the_way_where_it_was(
     assert isinstance(carried, ViaRest)
     check_joined(carried.out, there[0].end, still(home))
     check_joined(carried.back, still(home), there[1].start)
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_what_is_planned_anew_is_planned_at_once_and_round_what_stands_there(
+    cell: Cell, toolpath: Toolpath, drawing_problem: Problem, monkeypatch: pytest.MonkeyPatch, waits: bool
+) -> None:
+    asked: list[tuple[object, ...]] = []
+
+    def anew(cell: Cell, timed: object, toolpath: object, process: object, *which: object) -> list[str]:
+        asked.append((cell, *which))
+        return ["anew", "anew too"]
+
+    def rested(*given: Any) -> list[str]:
+        assert given[5:] == ("obstacles", "touching")
+        return [*given[4][:3], "with a rest"]
+
+    stubs: dict[str, Any] = {
+        "carried_travels": lambda *_: ["carried", None, "carried too", None],
+        "plan_travels": anew,
+        "obstacles_of": lambda *_: "obstacles",
+        "contacts_within": lambda *_: "touching" if waits else None,
+        "with_rests": rested,
+        "join": lambda cell, toolpath, process, timed, travels, dt, touching: travels,
+    }
+    for name, stub in stubs.items():
+        monkeypatch.setattr(planner.planning.pipeline, name, stub)
+    body: Any = "body"
+    found: Any = _elsewhere(drawing_problem, cell, toolpath, [], [], DEFAULT_DT, body)
+    assert asked == [(cell, [1, 3], "obstacles")]
+    assert found == ["carried", "anew", "carried too", "with a rest" if waits else "anew too"]

@@ -22,8 +22,8 @@ from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
-from planner.collision.print_body import PrintBody
-from planner.collision.scene import NOTHING, Obstacles
+from planner.collision.print_body import PrintBody, print_body, standing
+from planner.collision.scene import NOTHING, Obstacles, obstacles_of
 from planner.export.languages import check_languages
 from planner.export.write import (
     ProgramDiffers,
@@ -221,7 +221,9 @@ def solve(
     judged = None
     if tolerance is not None:
         with stages.stage("tolerance"):
-            judged = _robustness(tolerance, problem, cell, toolpath, rest, planned.travels, report, dt, second_process)
+            judged = _robustness(
+                tolerance, strategy, problem, cell, toolpath, rest, planned.travels, report, dt, second_process
+            )
     plan = Plan(
         problem=problem,
         cell=cell,
@@ -601,16 +603,32 @@ def trajectory_of(
 
 
 def _elsewhere(
-    problem: Problem, cell: Cell, toolpath: Toolpath, paths: Sequence[JointPath], travels: Sequence[Travel], dt: float
+    problem: Problem,
+    cell: Cell,
+    toolpath: Toolpath,
+    paths: Sequence[JointPath],
+    travels: Sequence[Travel],
+    dt: float,
+    body: PrintBody | None = None,
 ) -> Trajectory:
-    """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along."""
+    """The trajectory in a cell whose part stands elsewhere: paths that were followed there, travel carried along, or planned
+    anew where it cannot be.
+
+    body: part and print as obstacles there, where what is planned anew keeps clear of them, and of all bodies
+    """
     process, moving = problem.process, problem.process.hand_over == "motion"
     timed = [time_path(cell, path, (moving, moving), problem.resolve.timing) for path in paths]
-    carried = [
-        plan_travels(cell, timed, toolpath, process, range(i, i + 1))[0] if way is None else way
-        for i, way in enumerate(carried_travels(cell, travels, timed, toolpath, process))
-    ]
-    return join(cell, toolpath, process, timed, carried, dt, contacts_within(process, toolpath))
+    touching = contacts_within(process, toolpath)
+    carried = carried_travels(cell, travels, timed, toolpath, process)
+    whole = [way for way in carried if way is not None]
+    if len(whole) < len(carried):
+        anew = [i for i, way in enumerate(carried) if way is None]
+        obstacles = NOTHING if body is None else obstacles_of(problem, cell, toolpath, body)
+        fresh = iter(plan_travels(cell, timed, toolpath, process, anew, obstacles))
+        whole = [next(fresh) if way is None else way for way in carried]
+        if touching is not None:
+            whole = with_rests(cell, timed, toolpath, process, whole, obstacles, touching)
+    return join(cell, toolpath, process, timed, whole, dt, touching)
 
 
 def _waypoints(toolpath: Toolpath) -> int:
@@ -619,6 +637,7 @@ def _waypoints(toolpath: Toolpath) -> int:
 
 def _robustness(
     tolerance: Tolerance,
+    strategy: str,
     problem: Problem,
     cell: Cell,
     toolpath: Toolpath,
@@ -631,7 +650,10 @@ def _robustness(
     """Judge the plan over a tolerance: the same choices along the beads, the same travel between them."""
 
     def again(elsewhere: Cell, followed: Sequence[JointPath]) -> Report:
-        return verify(problem, elsewhere, toolpath, _elsewhere(problem, elsewhere, toolpath, followed, travels, dt))
+        body = print_body(toolpath, standing(elsewhere))
+        known = None if strategy in UNAWARE else body
+        trajectory = _elsewhere(problem, elsewhere, toolpath, followed, travels, dt, known)
+        return verify(problem, elsewhere, toolpath, trajectory, body)
 
     return assess_robustness(tolerance, problem, cell, toolpath, paths, planned, again, second_process)
 
