@@ -10,6 +10,8 @@ import pytest
 import ruckig
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_interlayer import line
+
 
 from planner.base.arrays import Array
 from planner.base.errors import Refusal
@@ -19,12 +21,13 @@ from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel.clearance import NOZZLE_POINTS, SLOPE, TravelClearance, travel_clearance
 from planner.motion.travel.moves import Bounds, between, resting, time_beside
-from planner.motion.travel.plan import TravelTask, plan_travels, quickest
+from planner.motion.travel.plan import TravelTask, _grown, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of, reaching
 from planner.problem import Problem
 from planner.problem.process import ProcessSpec
 from planner.resolve.joint_path import JointPath
 from planner.toolpath.bead import Surface, Toolpath
+from planner.toolpath.gcode.layers import LevelLayers
 from planner.toolpath.runs import least_travel_time
 from planner.toolpath.wrapped import Cylinder
 
@@ -367,6 +370,20 @@ def test_the_extruder_has_the_time_to_retract_and_prime(cell: Cell, a_print: Pri
         check_limits(cell, motion)
         check_smooth(motion)
         check_joined(motion, before.end, after.start)
+
+
+def test_a_bead_over_a_gap_is_high_until_its_layer_is_done() -> None:
+    walls = [line(layer, (x, 0), (x, 20)) for layer in range(8) for x in (0, 8)]
+    roofed = [*walls, *(line(layer, (0, 10), (8, 10)) for layer in (8, 9, 10))]
+    layers = LevelLayers.of(roofed)
+    printed = _grown(roofed, [layers.before(i) for i in range(len(roofed) + 1)])
+    assert printed == pytest.approx([0.0, *[0.5e-3] * 16, np.hypot(3.7e-3, 0.5e-3), 0.5e-3, 0.5e-3])
+
+
+def test_on_a_surface_that_does_not_grow_nothing_is_forgotten() -> None:
+    beads = [line(layer, (60, y), (90, y)) for layer in range(3) for y in (30, 0)]
+    heights = [float(PART.signed_distance(bead.points).max()) for bead in beads]
+    assert _grown(beads, [PART] * 7) == list(itertools.accumulate(heights, max, initial=0.0))
 
 
 class Wall:

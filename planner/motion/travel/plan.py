@@ -25,12 +25,13 @@ from planner.motion.travel.moves import between
 from planner.motion.travel.ways import Built, Caps, Ends, at_rest, reaching
 from planner.motion.visits import visits
 from planner.problem.process import ProcessSpec
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Surface, Toolpath
 from planner.toolpath.runs import least_travel_time
 
 LOW_HUMPS = (0.6, 0.35)  # of the least lift, by which the nozzle is raised where little is enough: beads close by
 HIGH_HUMPS = (1.6, 2.5)  # where the lift alone is not enough
 LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when they are lifted
+_OVER = 2.0  # of its height, from which on what a bead stands out by is no layer, but a gap beneath it
 _SPARE = 2e-5  # m more than its clearance that a travel keeps, since it is looked at in steps
 _SLIGHT = 1e-4  # m of clearance that it may lack where there is no other, as beside an end that has just enough
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
@@ -109,10 +110,7 @@ def plan_travels(
     """
     beads, before = toolpath.beads, len(toolpath.beads) - len(timed)
     surfaces = [toolpath.surface.before(i) for i in range(len(beads) + 1)]
-    heights = [
-        float(surface.signed_distance(bead.points).max()) for surface, bead in zip(surfaces[1:], beads, strict=True)
-    ]
-    printed = list(itertools.accumulate(heights, max, initial=0.0))  # how far the part has grown before each bead
+    printed = _grown(beads, surfaces)
     travels: list[Travel] = []
     by_home = visits(process, beads, timed)
     bounds = ways.bounds_of(cell)
@@ -171,6 +169,35 @@ def plan_travels(
         else:
             travels.append(with_rest(i, within[k], leave, reach))
     return travels
+
+
+def _grown(beads: Sequence[Bead], surfaces: Sequence[Surface]) -> list[float]:
+    """How far what is printed before each bead, and after the last one, stands out of the surface then (n + 1) [m]; surfaces
+    are those before each bead and after the last one.
+
+    A bead over a gap stands out by half its width, until the surface knows of its layer: it is measured again then.
+    """
+    lasting, most, out = 0.0, 0.0, [0.0]
+    layer, over = -1, list[tuple[float, Bead, Surface]]()
+    for bead, surface in zip(beads, surfaces[1:], strict=True):
+        if bead.layer != layer:
+            for height, below, before in over:
+                if below.layer < bead.layer:
+                    lasting = max(lasting, height if surface is before else _stands_out(below, surface))
+            over = [each for each in over if each[1].layer >= bead.layer]
+            layer, most = bead.layer, max((height for height, *_ in over), default=0.0)
+        height = _stands_out(bead, surface)
+        if height > _OVER * float(bead.height.max()):
+            most = max(most, height)
+            over.append((height, bead, surface))
+        else:
+            lasting = max(lasting, height)
+        out.append(max(lasting, most))
+    return out
+
+
+def _stands_out(bead: Bead, surface: Surface) -> float:
+    return float(surface.signed_distance(bead.points).max())
 
 
 def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str:
