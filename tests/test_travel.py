@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_interlayer import line
 
-
+import planner.motion.travel.plan
 from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import Cell
@@ -370,6 +370,30 @@ def test_the_extruder_has_the_time_to_retract_and_prime(cell: Cell, a_print: Pri
         check_limits(cell, motion)
         check_smooth(motion)
         check_joined(motion, before.end, after.start)
+
+
+def test_without_a_place_to_rest_the_travel_takes_the_time(
+    cell: Cell,
+    timed: tuple[TimedPath, ...],
+    toolpath: Toolpath,
+    drawing_problem: Problem,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Neither home nor lifted: no way leads there or back."""
+    nowhere = still(cell.home)
+    monkeypatch.setattr(planner.motion.travel.plan, "_home_beside", lambda *_: nowhere)
+    monkeypatch.setattr(planner.motion.travel.plan, "above", lambda *_: (nowhere, nowhere))
+
+    def no_way_to_a_rest(task: TravelTask) -> Cubics | None:
+        ends = task.ends
+        return None if ends.start is nowhere or ends.end is nowhere else quickest(task)
+
+    monkeypatch.setattr(planner.motion.travel.plan, "quickest", no_way_to_a_rest)
+    (motion,) = plan_travels(cell, timed, toolpath, drawing_problem.process, [2], within={2: 6.0})
+    assert isinstance(motion, Cubics)
+    assert 6.0 - 1e-9 <= motion.duration < 6.1
+    check_joined(motion, timed[1].end, timed[2].start)
+    check_limits(cell, motion)
 
 
 def test_a_bead_over_a_gap_is_high_until_its_layer_is_done() -> None:

@@ -194,7 +194,7 @@ def with_rests(
     touching: BeadContacts,
 ) -> list[Travel]:
     """The travels with a rest in each before which what is below has to grow older: at home, or where the way there and back
-    takes longer than the wait, lifted above the bead before."""
+    takes longer than the wait, lifted above the bead before; or slower ones, where neither can be reached."""
     lags, out = lags_of(process, toolpath, timed, touching), list(travels)
     for _ in range(_ROUNDS):
         within = _too_short(begins(process, toolpath, timed, out, lags), timed, out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from operator import attrgetter
@@ -103,7 +104,7 @@ def plan_travels(
     timed: all beads of the toolpath, or the last ones, where those before are there from the beginning.
 
     within: travels, by their number, in which there is time to rest, and how long they may take [s]: by way of home, or where
-    that takes longer, lifted.
+    that takes longer, lifted; where neither place can be reached, they take all of it on their way.
 
     With the runs beside it each leaves the extruder the time to retract and prime. Where there is something to wait for
     (see `visits`) it goes by way of home. Raises Refusal if no way is clear of the part, of what is printed, and of obstacles.
@@ -120,10 +121,12 @@ def plan_travels(
         for name in dict.fromkeys(bead.material for bead in beads)
     }
 
-    def way(i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None) -> Cubics:
+    def way(
+        i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None, lasts: float = 0.0
+    ) -> Cubics:
         cell, obstacles = around[_material(leave, reach)]
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, start, end)
-        ends = Ends(start, end, _least(process, toolpath, leave, reach), bounds)
+        ends = Ends(start, end, max(lasts, _least(process, toolpath, leave, reach)), bounds)
         find = upright if process.travels_upright else with_time
         margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), _SPARE)
         least = float(margins.min(initial=_SPARE))
@@ -140,20 +143,17 @@ def plan_travels(
     def by_way_of(i: int, rest: JointState, leave: TimedPath, reach: TimedPath) -> ViaRest:
         return ViaRest(way(i, leave.end, rest, leave, None), way(i, rest, reach.start, None, reach))
 
-    def with_rest(i: int, longest: float, leave: TimedPath, reach: TimedPath) -> ViaRest:
-        refusal: Refusal | None = None
+    def with_rest(i: int, longest: float, leave: TimedPath, reach: TimedPath) -> Travel:
         found: list[ViaRest] = []
         cell, _ = around[_material(leave, reach)]
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, leave.end, reach.start)
         lifted, _ = above(cell, Ends(leave.end, reach.start, 0.0, bounds), space, space.lift)
         for place in (_home_beside(cell, leave.end), lifted):
             if not (found and found[0].duration <= longest):
-                try:
+                with suppress(Refusal):
                     found.append(by_way_of(i, place, leave, reach))
-                except Refusal as none:
-                    refusal = refusal or none
-        if refusal is not None and not found:
-            raise refusal
+        if not found:
+            return way(i, leave.end, reach.start, leave, reach, longest)
         return min(found, key=attrgetter("duration"))
 
     for k in range(len(timed) + 1) if which is None else which:
