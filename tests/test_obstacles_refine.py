@@ -16,6 +16,7 @@ from planner.collision.point_tree import point_tree
 from planner.collision.scene import NOTHING, Around, Obstacles, _assembled, obstacles_of
 from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
+from planner.motion.travel import detours, plan
 from planner.motion.travel.clearance import travel_clearance
 from planner.motion.travel.detours import around
 from planner.motion.travel.plan import TravelTask, no_way, plan_travels, quickest
@@ -283,13 +284,32 @@ def test_a_refusal_of_travel_names_the_bodies(
     assert re.match(r"collision of .* with wall on the way to or from this bead", no_way(task, quickest))
 
 
+def test_ways_round_are_tried_until_one_is_clear(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each shortened, then as it was found, then from higher up: what was looked at coarsely may graze something."""
+    _, task = beside_a_wall(problem, bare, toolpath, timed)
+    whole = [task.ends.start.q + share * (task.ends.end.q - task.ends.start.q) for share in (0.3, 0.5, 0.7)]
+    monkeypatch.setattr(detours._FreeSpace, "clear", lambda *_: True)
+    monkeypatch.setattr(detours, "_connect", lambda *_: whole)
+    monkeypatch.setattr(detours, "_shortened", lambda space, way: way[::2])
+    ways = list(around(task.cell, task.ends, task.room, task.obstacles, 0.0, -1e-4))
+    assert [len(way) for way in ways] == 3 * [2, 3]
+    looks = iter([False, True])
+    monkeypatch.setattr(plan, "_ways", lambda *_: iter(()))
+    monkeypatch.setattr(plan, "_look", lambda *_: (next(looks), 0.0))
+    motion = quickest(task)
+    assert motion is not None
+    assert np.abs(motion.joints(motion.times) - whole[1]).max(axis=1).min() < 1e-9
+
+
 def test_a_search_finds_a_way_round_a_wall(
     problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
 ) -> None:
     wall, task = beside_a_wall(problem, bare, toolpath, timed)
     cell, ends, space, obstacles = task.cell, task.ends, task.room, task.obstacles
     start, end = ends.start.q, ends.end.q
-    (vias,) = around(cell, ends, space, obstacles, 0.0, -1e-4)
+    vias = next(around(cell, ends, space, obstacles, 0.0, -1e-4))
     again = next(around(cell, ends, space, obstacles, 0.0, -1e-4))
     assert all(np.array_equal(a, b) for a, b in zip(vias, again, strict=True))
     assert len(vias) > 2

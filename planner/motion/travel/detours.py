@@ -252,7 +252,9 @@ class _Tree:
 def around(
     cell: Cell, ends: Ends, room: TravelClearance, obstacles: Obstacles, now: float, margin: float
 ) -> Iterator[list[Array]]:
-    """Postures (nj) at which a way round everything rests, from above the start to above the end; none if none is found."""
+    """Postures (nj) at which ways round everything rest, from above the start to above the end, to be tried in turn: they have
+    been looked at in coarse steps. A way is shortened until it passes close by, then as it was found, then from higher up.
+    Nothing if none is found."""
     limits = cell.limits
     both = np.stack([ends.start.q, ends.end.q])
     low = np.maximum(limits.q_min, both.min(axis=0) - np.pi)
@@ -263,8 +265,10 @@ def around(
         if space.clear(a, a) and space.clear(b, b):
             way = _connect(space, a, b)
             if way is not None:
-                yield _shortened(space, way)
-                return
+                short = _shortened(space, way)
+                yield short
+                if len(short) < len(way):
+                    yield way
 
 
 def _connect(space: _FreeSpace, a: Array, b: Array) -> list[Array] | None:

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from planner.base.arrays import Array
 from planner.base.errors import Refusal
 from planner.cell.cell import Cell
 from planner.collision.scene import NOTHING, Obstacles
@@ -266,12 +267,15 @@ def quickest(task: TravelTask) -> Cubics | None:
 
     for way in _ways(task, free):
         push(way.bound, way, free)
-    roundabout = task.obstacles.any
-    while queue or roundabout:
+    roundabout: Iterator[list[Array]] = iter(())
+    if task.obstacles.any:
+        roundabout = around(cell, task.ends, task.room, task.obstacles, task.now, task.margin)
+    while True:
         if not queue:
-            roundabout = False
-            for vias in around(cell, task.ends, task.room, task.obstacles, task.now, task.margin):
-                push(0.0, TravelWay(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
+            vias = next(roundabout, None)
+            if vias is None:
+                return None
+            push(0.0, TravelWay(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
             continue
         bound, _, way, caps, built, tries = heapq.heappop(queue)
         if built is None:
@@ -290,7 +294,6 @@ def quickest(task: TravelTask) -> Cubics | None:
         if not clear:
             for other in way.instead:
                 push(max(bound, other.bound), other, free)
-    return None
 
 
 def _look(task: TravelTask, motion: Cubics) -> tuple[bool, float]:
