@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -445,6 +445,35 @@ def test_the_table_stays_where_the_last_bead_leaves_it(
     home = plan_travels(cell, timed, toolpath, drawing_problem.process, range(len(timed), len(timed) + 1))[-1]
     q = home.joints(np.linspace(0.0, home.duration, 100))
     np.testing.assert_allclose(q[:, 6], timed[-1].end.q[6], rtol=0, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class NoRoomAtHome:
+    """Obstacles that leave the arm no room at home while the table stands as beads have it."""
+
+    cell: Cell
+    any: bool = False  # as far as the way itself is concerned
+
+    def for_nozzle(self, cell: Cell, own: Cell) -> NoRoomAtHome:
+        return self
+
+    def margins(self, q: Array, now: Array, enough: float) -> tuple[Array, Array]:
+        home = self.cell.home
+        at_home = (np.abs(q[:, :6] - home[:6]) < 1e-9).all(axis=1)
+        return np.where(at_home & (np.abs(q[:, 6] - home[6]) > 1e-9), -1e-3, enough), np.zeros(len(q))
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_the_table_turns_on_the_way_where_the_arm_has_no_room_at_home_otherwise(
+    cell: Cell, timed: tuple[TimedPath, ...], toolpath: Toolpath, drawing_problem: Problem, first: bool
+) -> None:
+    bead, home = timed[0].start if first else timed[-1].end, cell.home.copy()
+    home[6] = bead.q[6] + 0.3
+    turned = replace(cell, home=home)
+    which = [0 if first else len(timed)]
+    (motion,) = plan_travels(turned, timed, toolpath, drawing_problem.process, which, NoRoomAtHome(turned))
+    check_joined(motion, *((still(home), bead) if first else (bead, still(home))))
+    check_limits(cell, motion)
 
 
 @pytest.mark.parametrize(("joint", "turn"), [(5, -1), (6, 1)])

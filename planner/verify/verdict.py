@@ -193,7 +193,7 @@ def _layers_around(judged: Judged) -> NDArray[np.int64]:
 
 
 def _home(judged: Judged) -> Check:
-    """The arm starts at home and comes back there; the positioner starts where the first bead wants it."""
+    """The arm starts at home and comes back there; the positioner stands where the first bead wants it, or at its own home."""
     return _at_home(judged, "starts and ends at home", [0, len(judged.trajectory) - 1])
 
 

@@ -122,6 +122,13 @@ def plan_travels(
         for name in dict.fromkeys(bead.material for bead in beads)
     }
 
+    def home_beside(i: int, state: JointState | None, material: str) -> JointState:
+        """Home with the holder where a bead's end has it, or at its own home, where only that leaves room."""
+        beside = _home_beside(cell, state)
+        both = np.stack([beside.q, cell.home])
+        margins, _ = around[material][1].margins(both, np.full(2, float(i)), _SPARE)
+        return at_rest(cell.home.copy()) if margins[0] < 0.0 <= margins[1] else beside
+
     def way(
         i: int, start: JointState, end: JointState, leave: TimedPath | None, reach: TimedPath | None, lasts: float = 0.0
     ) -> Cubics:
@@ -146,10 +153,11 @@ def plan_travels(
 
     def with_rest(i: int, longest: float, leave: TimedPath, reach: TimedPath) -> Travel:
         found: list[ViaRest] = []
-        cell, _ = around[_material(leave, reach)]
+        material = _material(leave, reach)
+        cell, _ = around[material]
         space = travel_clearance(cell, surfaces[i], printed[i], process.lift, leave.end, reach.start)
         lifted, _ = above(cell, Ends(leave.end, reach.start, 0.0, bounds), space, space.lift)
-        for place in (_home_beside(cell, leave.end), lifted):
+        for place in (home_beside(i, leave.end, material), lifted):
             if not (found and found[0].duration <= longest):
                 with suppress(Refusal):
                     found.append(by_way_of(i, place, leave, reach))
@@ -161,12 +169,13 @@ def plan_travels(
         i = before + k
         leave = timed[k - 1] if k > 0 else None
         reach = timed[k] if k < len(timed) else None
-        start = _home_beside(cell, None if reach is None else reach.start) if leave is None else leave.end
-        end = _home_beside(cell, None if leave is None else leave.end) if reach is None else reach.start
+        material = _material(leave, reach)
+        start = home_beside(i, None if reach is None else reach.start, material) if leave is None else leave.end
+        end = home_beside(i, None if leave is None else leave.end, material) if reach is None else reach.start
         if leave is None or reach is None or (i not in by_home and k not in within):
             travels.append(way(i, start, end, leave, reach))
         elif i in by_home:
-            travels.append(by_way_of(i, _home_beside(cell, start), leave, reach))
+            travels.append(by_way_of(i, home_beside(i, start, material), leave, reach))
         else:
             travels.append(with_rest(i, within[k], leave, reach))
     return travels
