@@ -12,6 +12,7 @@ from collision_cells import coal_distance, placed, with_bodies
 from planner.base.errors import Blocked, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.cell.solids import Body, Capsule
+from planner.collision import scene
 from planner.collision.point_tree import point_tree
 from planner.collision.scene import NOTHING, Around, Obstacles, _assembled, obstacles_of
 from planner.motion.cubics import Cubics, JointState
@@ -275,6 +276,20 @@ def test_a_travel_keeps_all_of_its_clearance(
     away, left = way_beside(radius + room + 5e-5)
     assert left >= 0.0
     assert away.duration >= free.duration
+
+
+def test_margins_by_the_tip_may_change_by_a_quarter_more_than_what_moves(
+    bare: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A distance and what is asked for, which grows with that from the tip."""
+    found: list[np.ndarray] = []
+    monkeypatch.setattr(scene, "hit_along", lambda table, q, gone, *_: found.append(gone) or -1)
+    whole, q = wall_beside(bare), bare.home + np.linspace(0.0, 0.1, 5)[:, None]
+    for obstacles in (whole, whole.but_head_on_part):
+        assert obstacles.hit(q, 0.0, 0.0) == -1
+    by_the_tip, beyond = found
+    assert beyond[-1] == pytest.approx(0.1 * whole.swing.sum())
+    assert by_the_tip == pytest.approx(1.25 * beyond)
 
 
 def test_a_refusal_of_travel_names_the_bodies(

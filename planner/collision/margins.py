@@ -451,8 +451,8 @@ def lacking_at(table, q, lacking) -> None:
 def hit_along(table, q, gone, now, allowed, enough):
     """The first pair found whose margin falls below `allowed` [m] along postures q (n, nj), or -1.
 
-    gone (n): how far anything may have moved since the first [m]. Between two postures that are clear by more than half
-    of what may move between them nothing is looked at; margins above `enough` are not told apart.
+    gone (n): by how much any margin may have changed since the first [m]. Between two postures that are clear by more than half
+    of that nothing is looked at; margins above `enough` are not told apart.
     """
     room = workspace_for(table)
     last = len(q) - 1

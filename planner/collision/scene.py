@@ -241,7 +241,8 @@ class Obstacles:
         if not self.any:
             return -1
         steps = np.abs(np.diff(q, axis=0)) @ self.swing
-        gone = np.concatenate([np.zeros(1), np.cumsum(steps)])
+        rate = 1.0 + TIP_SLOPE if self.table.head_on_part.any() else 1.0  # what is asked for changes by the tip, too
+        gone = rate * np.concatenate([np.zeros(1), np.cumsum(steps)])
         return int(hit_along(self.table, np.ascontiguousarray(q), gone, now, allowed, allowed + _FAR))
 
     @cached_property
