@@ -6,7 +6,7 @@ import gc
 import os
 import signal
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from zlib import crc32
@@ -153,6 +153,16 @@ def _refuse_unknown_cases(items: list[pytest.Item]) -> None:
 
 def _is_any(case: str, patterns: tuple[str, ...]) -> bool:
     return any(case == pattern or fnmatchcase(case, pattern) for pattern in patterns)
+
+
+@pytest.fixture(autouse=True)
+def interruptions_as_before() -> Iterator[None]:
+    """A command that a test runs to its end lets nothing interrupt it any more; processes of later tests would inherit that."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    if threading.current_thread() is threading.main_thread():
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session")
