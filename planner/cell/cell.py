@@ -349,7 +349,8 @@ def build_cell(problem: Problem) -> Cell:
 
     T_plate_part = np.eye(4)
     if spec.positioner is None or holder_robot is None:
-        held, held_range = {}, {}
+        held: dict[str, float] = {}
+        held_range: dict[str, tuple[float, float]] = {}
         T_world_holder_base = translation(np.asarray(spec.bed))
         T_world_holder_base[:3, :3] = pin.rpy.rpyToMatrix(*spec.bed_rpy)
         holder = Chain((), np.empty((0, 4, 4)), np.empty((0, 6)), T_world_holder_base)

@@ -41,10 +41,10 @@ def in_files(sections: Iterable[MoveSection], most: int) -> list[list[MoveSectio
     return packed(pieces, (len(piece.moves) for piece in pieces), most, max(1, len(pieces)))
 
 
-def numbered(name: str, k: int, longest: int) -> str:
+def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
     """Name of the k-th part of a program, at most `longest` characters; where a print resumes stays in it."""
     resumed = re.search(r"(?i)from\d+$", name)
-    tail = (resumed[0] if resumed else "") + f"_{k}"
+    tail = (resumed[0] if resumed else "") + f"{separator}{k}"
     whole = name[: resumed.start()] if resumed else name
     return whole[: longest - len(tail)] + tail
 

@@ -309,7 +309,7 @@ def axis_of(T_world_plate: Array) -> tuple[Array, Array]:
     """Where the problem has the axis (2) about which upright plates (n, 4, 4) turn, in the world, and where a plate's origin
     (2) is from there, in the plate's frame [m]. The plates stand at two angles at least."""
     A = _columns(T_world_plate[:, :2, :2])
-    z = np.linalg.lstsq(A, T_world_plate[:, :2, 3].ravel(), rcond=None)[0]
+    z = np.asarray(np.linalg.lstsq(A, T_world_plate[:, :2, 3].ravel(), rcond=None)[0], dtype=np.float64)
     return z[:2], z[2:]
 
 

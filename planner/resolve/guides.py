@@ -91,4 +91,5 @@ def zeros_apart(task: NozzleTask, guide: NozzleTask, backwards: bool) -> float:
 def _counted_from(task: NozzleTask) -> Flags:
     """Which axes of the part (3) a task's zero of roll points to, all along what it lays."""
     x, y = (task.frames[task.first : task.last, :, k] for k in (0, 1))
-    return (x > _AHEAD).all(axis=0) & (np.abs(y) < _IN_PLANE).all(axis=0)
+    out: Flags = np.all(x > _AHEAD, axis=0) & np.all(np.abs(y) < _IN_PLANE, axis=0)
+    return out
