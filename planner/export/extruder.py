@@ -371,7 +371,8 @@ def _in_step(plan: Plan, parts: Sequence[Part], found: Sequence[Stretch]) -> tup
 
 
 def _is_before(part: Part, stretch: Stretch, dt: float) -> bool:
-    return part.start < stretch.on - NEAR if part.kind == "" else part.start < stretch.on + 0.5 * dt
+    # a part of what builds pressure up begins a sample before pressure does
+    return part.start < stretch.on - NEAR - 1.5 * dt if part.kind == "" else part.start < stretch.on + 0.5 * dt
 
 
 def _is_within(part: Part, stretch: Stretch, dt: float) -> bool:
