@@ -10,6 +10,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +42,7 @@ _MODEL_3MF = "3d/3dmodel.model"  # in small letters: which the other parts of a 
 _NUMBER_3MF = re.compile(rb"<(?:\w+:)?object\b[^>]*?\sid\s*=\s*[\"'](\d+)")
 _BODY_3MF = re.compile(rb"<(?:\w+:)?mesh\b")
 _OFF_REMARK = re.compile(rb"#[^\n]*")
+_OFF_MANY = re.compile(rb"^[ \t]*(?:[5-9]|[1-9]\d+)(?:[ \t]+\d+){5}", re.MULTILINE)  # a facet of five corners or more
 _FOLD = 1e-4  # of what a file extends: so far corners may be off the line between others, as they are rounded
 # What trimesh's readers raise at files that are none, or damaged.
 _UNREADABLE = (
@@ -231,11 +233,23 @@ def _obj(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 
 
 def _off(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
+    if _OFF_MANY.search(data):
+        _check_pieces(path, data, "off", where)
+        return _by_trimesh(path, _off_in_triangles(data), "off", where)
     mesh = _by_trimesh(path, _as_utf8(data), "off", where)
     head = re.search(rb"OFF\s+\d+\s+(\d+)", _OFF_REMARK.sub(b"", data))
     if head is None or len(mesh.faces) > int(head[1]):
         _check_pieces(path, data, "off", where)
     return mesh
+
+
+def _off_in_triangles(data: bytes) -> bytes:
+    """An OFF file with all its facets cut from their first corners: trimesh reads none of more than four corners."""
+    places, polygons = _polygons_of_off(data)
+    facets = [(each[0], *pair) for each in polygons for pair in pairwise(each[1:])]
+    head = f"OFF\n{len(places)} {len(facets)} 0"
+    rows = (*(" ".join(map(repr, row)) for row in places.tolist()), *(f"3 {a} {b} {c}" for a, b, c in facets))
+    return "\n".join((head, *rows)).encode()
 
 
 def _as_utf8(data: bytes) -> bytes:
