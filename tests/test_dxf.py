@@ -152,7 +152,7 @@ def test_circles_ellipses_and_splines(tmp_path: Path) -> None:
 @pytest.mark.parametrize("weights", [None, (1.0, 3.0, 1.0, 0.5)])
 def test_closed_splines_end_where_they_begin(tmp_path: Path, weights: tuple[float, ...] | None) -> None:
     """They are not clamped: their knots go on beyond both ends of their domain."""
-    corners = [(0, 0), (40, 0), (40, 30), (0, 30)]
+    corners = [(0, 0, 0), (40, 0, 0), (40, 30, 0), (0, 30, 0)]
 
     def draw(m: Any) -> None:
         if weights is None:
@@ -163,7 +163,7 @@ def test_closed_splines_end_where_they_begin(tmp_path: Path, weights: tuple[floa
     path = saved(tmp_path, draw)
     (spline,) = read(path).paths
     share = np.array(weights or (1, 1, 1, 1), dtype=float)[:, None]
-    control = np.hstack([share * corners, share])[[0, 1, 2, 3, 0, 1, 2]]
+    control = np.hstack([share * np.array(corners)[:, :2], share])[[0, 1, 2, 3, 0, 1, 2]]
     x, y, w = BSpline(np.arange(11.0), control, 3)(np.linspace(3.0, 7.0, 20001)).T
     exact = np.column_stack([x / w, y / w])
     assert spline.closed

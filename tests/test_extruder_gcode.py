@@ -118,7 +118,7 @@ def test_the_temperature_of_a_material_can_be_waited_for() -> None:
     assert load_problem(small_problem().file, changes).process.nozzle_c("pla") == 205.0
     with pytest.raises(InputError, match="heat is wait, and there is no temperature") as refused:
         load_problem(small_problem().file, [changes[0], materials.format("")])
-    assert refused.value.field == "process.start.heat"
+    assert refused.value.field == "--set process.start: process.start.heat"
 
 
 def test_the_cutter_is_no_fan() -> None:

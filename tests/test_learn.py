@@ -732,7 +732,7 @@ def test_a_saved_plan_is_taken_unless_its_problem_was_changed_since(
     taken = ran_plan(saved, (), None, Stages())
     assert (taken.seal, taken.checks) == (own.seal, own.checks)
     file.write_text(file.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
-    with pytest.raises(InputError, match="as it was planned: 1 parts, changed since: problem"):
+    with pytest.raises(InputError, match="as it was planned: 1 part, changed since: problem"):
         ran_plan(saved, (), None, Stages())
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planner.base.rapid_names import LONGEST_NAME
 from planner.base.shipped import PROBLEMS, ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.robot import read_robot, robot_names, shipped_robots
@@ -19,7 +20,7 @@ from planner.new.questions import DOWN, WHAT
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
-from planner.problem.fields import LONGEST_NAME, identifier_like
+from planner.problem.fields import identifier_like
 
 SQUARE = '<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 20 20"><path d="M0 0h20v20H0z"/></svg>'
 DEFAULTS = 20  # empty answers: more than there are questions

@@ -374,7 +374,7 @@ def test_a_held_rail_stands_within_the_range_that_the_problem_gives(tmp_path: Pa
     own = "  limits: {rail: {range_mm: [0, 6000]}}\n  bed_mm"
     assert build_cell(problem(tmp_path, *changes, ("  bed_mm", own))).T_world_base[0, 3] == pytest.approx(4.0)
     with pytest.raises(InputError, match="this joint slides"):
-        build_cell(problem(tmp_path, *changes, ("  bed_mm", own.replace("range_mm", "range_deg"))))
+        build_cell(problem(tmp_path, *changes, ("  bed_mm", own.replace("range_mm: [0, 6000]", "range_deg: [0, 90]"))))
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -12,11 +12,12 @@ import jsonschema
 import pytest
 
 from planner.base.errors import InputError
+from planner.base.rapid_names import LONGEST_NAME
 from planner.base.shipped import PROBLEMS, ROBOTS
 from planner.cell.robot import robot_names
 from planner.cell.robot_file import KEYS
 from planner.problem import Problem, load_problem, shipped_problems
-from planner.problem.fields import LONGEST_NAME, described
+from planner.problem.fields import described
 from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.yaml_file import parse_yaml, read_problem_file, read_yaml_file
 from planner.reference.command import FILES

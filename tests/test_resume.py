@@ -18,10 +18,11 @@ from solved import write_small
 
 import planner.planning.pipeline
 from planner.base.errors import EXIT_INPUT, InputError
+from planner.base.rapid_names import LONGEST_NAME
 from planner.collision.print_body import print_body, standing
 from planner.collision.scene import NOTHING, obstacles_of
 from planner.export.plan_json import plan_json
-from planner.export.rapid.text import LONGEST_NAME, module_name
+from planner.export.rapid.text import module_name
 from planner.motion.timing.timed_path import time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import plan_travels

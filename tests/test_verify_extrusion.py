@@ -554,7 +554,7 @@ def driven(text: str) -> tuple[Array, Array]:
     now, at, out = 0.0, 0.0, [(0.0, 0.0)]
     for line in text.splitlines():
         words = line.split(";")[0].split()
-        if not words or words[0] in ("M83", "M104", "M140", "M203", "M595", "T0"):
+        if not words or words[0] in ("M83", "M104", "M106", "M140", "M203", "M595", "T0"):
             continue
         value = {word[0]: float(word[1:]) for word in words[1:]}
         if words[0] == "G4":

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
+from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
 from planner.export.axes.flavours import FLAVOURS
 from planner.export.external import external_axes, moving_unit
 from planner.export.rapid.text import module_name
 from planner.plan import RAPID_EXTERNAL_AXES
 from planner.plan.plan import materials_of
-from planner.problem.fields import LONGEST_NAME
-from planner.problem.settings import OWN_NAMES
 
 if TYPE_CHECKING:
     from planner.cell.robot import Robot

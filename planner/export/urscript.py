@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.rapid_names import LONGEST_NAME
 from planner.export.arms import switch_triggers
 from planner.export.fit import angle, from_matrix, to_matrix
 from planner.export.grammar import NUMBER, Grammar, Statement, inlined
@@ -29,7 +30,7 @@ from planner.export.moves import (
 )
 from planner.export.parts import numbered, packed, part_about
 from planner.export.program import UNSPECIFIED, RobotProgram, about, named
-from planner.export.rapid.text import LONGEST_NAME, module_name
+from planner.export.rapid.text import module_name
 from planner.export.readback import filled, played_differences
 from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, off_differences, output_numbers, outputs_about

@@ -17,6 +17,7 @@ import numpy as np
 
 from planner.base.command_line import Command, exit_code, one_of
 from planner.base.errors import EXIT_INPUT, EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, OutputError, nearest_name
+from planner.base.rapid_names import LONGEST_NAME
 from planner.base.results import results_folder
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
@@ -68,7 +69,6 @@ from planner.feedback.identify_run import planned_run, recorded_run
 from planner.feedback.recordings import add_recording, read_log
 from planner.planning.solve_command import main as solve_main
 from planner.problem import Problem, load_problem
-from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import Value, write_changed
 from planner.toolpath.build import build_toolpath
 

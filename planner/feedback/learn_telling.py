@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 
 from planner.base.arrays import Array, Indices, Ints
 from planner.base.errors import OutputError
+from planner.base.rapid_names import LONGEST_NAME
 from planner.feedback.learn_fit import Lessons, RunErrors
 from planner.feedback.learn_track import RecordedWay
 from planner.motion.as_run import COLUMNS, PLACES, Corrections, places_along, read_columns
 from planner.plan import Plan, Trajectory
 from planner.problem import Problem
-from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import Value, changed_text
 
 CORRECTIONS, PICTURE = "corrections.csv", "learned.png"

@@ -14,10 +14,10 @@ from matplotlib.figure import Figure
 
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
+from planner.base.rapid_names import LONGEST_NAME
 from planner.feedback.height_map import FEWEST, SCATTER, HeightMap
 from planner.feedback.learn_telling import TAUGHT
 from planner.problem import Problem
-from planner.problem.fields import LONGEST_NAME
 from planner.problem.rewrite import Value, changed_text, with_values, without
 from planner.toolpath.as_printed import COLUMNS, left, made_up
 from planner.toolpath.bead import Bead, Toolpath

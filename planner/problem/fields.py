@@ -29,9 +29,9 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from planner.base.errors import InputError, nearest_name
+from planner.base.rapid_names import LONGEST_NAME
 from planner.problem.yaml_file import ValueSources, describe, parse_yaml, shorten
 
-LONGEST_NAME = 32  # characters of an identifier in RAPID
 LONGEST_TEXT = 1000  # characters; a path of a file, or a name in words
 _RESERVED = """
 alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc

@@ -13,6 +13,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from planner.base.errors import nearest_name
 from planner.base.gcode_lines import commands_in, time_of
+from planner.base.rapid_names import LONGEST_NAME
 from planner.problem.by_layer import (
     LEAST_WAIT,
     InterlayerTimeSpec,
@@ -26,7 +27,6 @@ from planner.problem.by_layer import (
 )
 from planner.problem.fields import (
     IDENTIFIER,
-    LONGEST_NAME,
     Form,
     Quantity,
     Section,

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from ipaddress import AddressValueError, IPv4Address
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from pydantic import model_validator
 
+from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
 from planner.problem.fields import (
     IDENTIFIER,
     INCREASING,
-    LONGEST_NAME,
     UNIQUE,
     UNIT_VECTOR,
     Angles,
@@ -69,11 +68,6 @@ FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for
 POSITIONER, ARMS = "STN1", ("ROB_1", "ROB_2")
 SECOND_ARM = ARMS[1]
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
-# names that a program gives itself: procedures, speeds, triggers, its zone, what serves the socket; and ABB's own data
-OWN_NAMES = re.compile(
-    r"(main|(start|finish|(home|change|bead)\d+)(part\d+)?|vel\d\w*|(trg|bw)\w*|zon0_1|(tool|wobj|load)0|fine|[vz]\d+)",
-    re.IGNORECASE,
-)
 
 
 def _code(value: Any) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
+from planner.base.rapid_names import LONGEST_NAME
 from planner.export.external import carrying_axes, external_written, moving_unit
 from planner.export.fit import angle, from_matrix
 from planner.export.moves import Moves
@@ -29,7 +30,6 @@ from planner.export.rapid.declarations import (
     zone_declarations,
 )
 from planner.export.rapid.text import (
-    LONGEST_NAME,
     NOT_LOADED,
     Procedure,
     batches_of,

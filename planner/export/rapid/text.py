@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
 from planner.export.parts import numbered
 from planner.export.text import ascii_comment
-from planner.problem.settings import OWN_NAMES
 
 # ----------------------------------------------------------------------------------------------------
 # Names and comments.
@@ -30,7 +30,6 @@ ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3, "z5": 5e-3, "z10": 10e-3}
 OWN_ZONES = {"zon0_1": "[FALSE,0.1,0.1,0.1,0.01,0.1,0.01]"}
 ZONES["zon0_1"] = 0.1e-3
 LONGEST_STRING = 80
-LONGEST_NAME = 32
 NOTE = "Note: "  # begins a comment in the header that users should read
 _NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")
 
