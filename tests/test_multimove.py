@@ -508,7 +508,10 @@ def test_what_moves_one_arm_refuses_two(tmp_path: Path) -> None:
 
 @cache
 def solved(name: str) -> Plan:
-    return solve_alone(load_problem(name, ("strategy=ladder",)))
+    clear = (
+        "cell.positioner.held_deg={joint_2: 60, joint_3: -40, joint_5: -100}"  # of the forearm, however the panel turns
+    )
+    return solve_alone(load_problem(name, ("strategy=ladder", *([clear] if name == "fibre_plane" else []))))
 
 
 @pytest.mark.slow

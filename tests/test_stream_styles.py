@@ -146,7 +146,7 @@ def test_lines_go_to_the_board_with_the_moves() -> None:
     ("board_faults", "stream_faults", "words"),
     [
         (("error@6",), (), "the board reports"),
-        (("clog@6",), (), "the board reports"),
+        (("clog@7",), (), "the board reports"),
         (("drop@6",), (), "the board closed the connection"),
         (("garbage@6",), (), "the board sent"),
         (("fatal@6",), (), "the board reports"),
