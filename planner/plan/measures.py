@@ -183,7 +183,8 @@ METRICS: dict[str, Measure] = {
     "nozzle_clearance_min_mm": Measure(
         "mm",
         "least distance of nozzle and print head from part and print, beyond the zone at the tip",
-        "bodies of the head, moved by forward kinematics, against points of part and print; at most 50",
+        "bodies of the head, moved by forward kinematics, against points of part and print; at most 50, and no more than "
+        "a tenth above the true one",
     ),
     "nozzle_pressed_max_mm": Measure(
         "mm",

@@ -21,6 +21,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import inner_njit, njit
 from planner.base.geometry import arc_lengths
+from planner.base.processes import in_blocks
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import (
     PointTree,
@@ -46,7 +47,9 @@ _BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _STEEP = 1e3  # slope by which no point within the tip's zone counts
-_SPARE = 0.05  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
+_SPARE = 0.1  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
+_AMPLE = 5e-3  # m: by so much more than the nearest body no other one is looked for
+_AT_ONCE = 50_000  # samples of a block whose true distances a thread looks for
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -66,8 +69,7 @@ class NozzleWay(NamedTuple):
 
     tip (n, 3) [m] and rotation (n, 3, 3)   its tip and axes in the part frame
     path (n) [m], turned (n) [rad]          how far they have moved and turned since the first sample
-    now (n)                                 what is printed, see `print_times`; ahead (n): the sample up to which what
-                                            is laid may count as there
+    now (n), seen (n)                       what is printed, see `print_times`, and what may count as printed
     slack (n) [m]                           as `TipRule` has it
     """
 
@@ -77,7 +79,7 @@ class NozzleWay(NamedTuple):
     turned: Array
     now: Array
     slack: Array
-    ahead: Ints
+    seen: Array
 
 
 class BlockRoom(NamedTuple):
@@ -101,8 +103,8 @@ def least_along(tree, solids, way, clearance, slope, search):
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
-    now, slack, ahead = way.now, way.slack, way.ahead
-    n, nodes = len(now), search.nodes
+    slack, seen = way.slack, way.seen
+    n, nodes = len(seen), search.nodes
     least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
     poses = np.empty((_OFTEN + 1, 4, 4))
     room = BlockRoom(poses, np.empty((_DEEPEST, 2), np.int64), np.empty((_DEEPEST, 2)))
@@ -113,7 +115,7 @@ def least_along(tree, solids, way, clearance, slope, search):
             while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:
                 b += 1
             c = (a + b) // 2
-            T, p, seeing, posed = poses[c - a], tip[c], now[ahead[b]], False
+            T, p, seeing, posed = poses[c - a], tip[c], seen[b], False
             rule = TipRule(clearance, slope, slack[b])
             _pose(T_solid_frame[j], rotation[c], p, T)
             gone = max(path[c] - path[a], path[b] - path[c])
@@ -162,14 +164,14 @@ def least_along(tree, solids, way, clearance, slope, search):
 def _here_and_there(tree, solids, way, clearance, slope, search):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
-    tip, rotation, now, slack, ahead = way.tip, way.rotation, way.now, way.slack, way.ahead
+    tip, rotation, slack, seen = way.tip, way.rotation, way.slack, way.seen
     least, where, whose, which = FAR, 0, 0, -1
     T = np.empty((4, 4))
     for j in range(len(kind)):
-        for k in range(0, len(now), _OFTEN):
+        for k in range(0, len(seen), _OFTEN):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
             solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k])
-            value, point = nearest_point(tree, solid, T, tip[k], rule, now[ahead[k]], least, np.inf, search)
+            value, point = nearest_point(tree, solid, T, tip[k], rule, seen[k], least, np.inf, search)
             if value < least:
                 least, where, whose, which = value, k, j, point
     return least, where, whose, which
@@ -184,11 +186,11 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
     of: the point in the tree's order; T_solid_nozzle (4, 4); rule: `TipRule` of the block; room: `BlockRoom`
     """
     point, radius, time = tree.points[of], tree.radius[of], tree.time[of]
-    tip, path, turned, now, ahead = way.tip, way.path, way.turned, way.now, way.ahead
+    tip, path, turned, seen = way.tip, way.path, way.turned, way.seen
     poses, samples, values = room.poses, room.samples, room.values
     slope = rule.slope
     first = a
-    while time >= now[ahead[first]]:
+    while time >= seen[first]:
         first += 1
     begin = max(a, first - 1)
     c = max(begin, (a + b) // 2)
@@ -267,7 +269,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
         solid, own, c = SolidNumbers(kind[j], size[j], planes), T_solid_frame[j], solids.centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + solids.reach[j]
         k, known, waiting = _ZERO, -1, 0
-        value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, search)
+        value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, margin[k] + _AMPLE, search)
         margin[0] = min(margin[0], value)
         if value < least:
             least, where, whose, which = value, k, j, known
@@ -281,7 +283,9 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
                 look = (k + ahead) // 2 if 0.5 * (value + far - moved) < target else k
             if look > k:
                 samples[waiting] = look
-                values[waiting], known = _look_at(tree, solid, own, way, clearance, slope, look, known, search)
+                values[waiting], known = _look_at(
+                    tree, solid, own, way, clearance, slope, look, known, margin[look] + _AMPLE, search
+                )
                 if values[waiting] < least:
                     least, where, whose, which = values[waiting], look, j, known
                 waiting += 1
@@ -307,7 +311,7 @@ def _next_look(way, k, spare, arm, slope):
     spare: what the margin may fall by [m]; arm: how far the body reaches from the tip [m]
     """
     path, turned, now, slack = way.path, way.turned, way.now, way.slack
-    seeing, m = now[way.ahead[k]], k + 1
+    seeing, m = way.seen[k], k + 1
     while m < min(len(now) - 1, k + _OFTEN):
         far = path[m + 1] - path[k]
         if spare < 0.5 * _RATE * (far + arm * (turned[m + 1] - turned[k])):
@@ -320,13 +324,14 @@ def _next_look(way, k, spare, arm, slope):
 
 
 @inner_njit(error_model="numpy")
-def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, search):
-    """The margin of a body at sample k, FAR at most, and its point; the search begins with the known one, or with -1."""
-    T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.now[way.ahead[k]]
+def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most, search):
+    """The margin of a body at sample k, `most` and FAR at most, and its point; the search begins with the known one, or
+    with -1."""
+    T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.seen[k]
     _pose(T_solid_nozzle, way.rotation[k], way.tip[k], T)
-    enough = FAR
+    enough = min(FAR, most)
     if known >= 0 and tree.time[known] < seeing:
-        enough = min(FAR, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
+        enough = min(enough, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
     value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, np.inf, search)
     return value, known if point < 0 else point
 
@@ -344,7 +349,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
     for i in range(1, parts):
         _between(way.rotation[k], way.rotation[k + 1], way.tip[k], way.tip[k + 1], i / parts, R, p)
         _pose(T_solid_nozzle, R, p, T)
-        value, point = nearest_point(tree, solid, T, p, rule, way.now[way.ahead[k + 1]], least, np.inf, search)
+        value, point = nearest_point(tree, solid, T, p, rule, way.seen[k + 1], least, np.inf, search)
         if value < least:
             least, which = value, point
     return least, which
@@ -428,7 +433,7 @@ def nozzle_nearness(
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion (see
     `nearest_point`), to TOLERANCE, also between samples."""
-    way = _way(motion, now, slack, _looked_ahead(motion.tip, now, slack, look))
+    way = _way(motion, now, slack, slack, look)
     found = least_along(tree.arrays, _solids(bodies), way, clearance, TIP_SLOPE, search_room())
     return Nearness(np.empty(0), *found)
 
@@ -447,10 +452,20 @@ def beyond_the_tip(
     The least is exact to TOLERANCE where it is negative, and to _SPARE of the distance elsewhere.
     """
     zone = (clearance + slack) / TIP_SLOPE
-    way = _way(motion, now, _STEEP * zone, _looked_ahead(motion.tip, now, slack, look))
-    margin = np.full(len(now), FAR)
-    found = margins_along(tree.arrays, _solids(bodies), way, clearance, _STEEP, margin, search_room())
-    return Nearness(margin, *found)
+    way, solids = _way(motion, now, slack, _STEEP * zone, look), _solids(bodies)
+    n, margin = len(now), np.full(len(now), FAR)
+    found: dict[int, tuple[float, int, int, int]] = {}
+
+    def look_along(at: slice) -> None:
+        """A block, and up to the first sample of the next."""
+        some = NozzleWay(*(values[at.start : min(at.stop + 1, n)] for values in way))
+        own = np.full(len(some.now), FAR)
+        least, k, body, point = margins_along(tree.arrays, solids, some, clearance, _STEEP, own, search_room())
+        margin[at] = own[: at.stop - at.start]
+        found[at.start] = least, at.start + k, body, point
+
+    in_blocks(look_along, n, _AT_ONCE)
+    return Nearness(margin, *found[min(found, key=lambda start: (found[start][0], start))])
 
 
 def _solids(bodies: Packed) -> HeadSolids:
@@ -458,10 +473,11 @@ def _solids(bodies: Packed) -> HeadSolids:
     return HeadSolids(bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach)
 
 
-def _way(motion: ExecutedMotion, now: Array, slack: Array, ahead: Ints) -> NozzleWay:
-    """A motion as the kernels want it."""
+def _way(motion: ExecutedMotion, now: Array, slack: Array, asked: Array, look: float) -> NozzleWay:
+    """A motion as the kernels want it; asked (n): the slack that they are to ask with."""
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
-    return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, slack, ahead)
+    seen = now[_looked_ahead(motion.tip, now, slack, look)]
+    return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, asked, seen)
 
 
 def by_the_tip(judged: Judged) -> Nearness:
