@@ -5,6 +5,7 @@ const SIDEWAYS = 5, NOZZLE = 10;  // what a view from the arm's side, and the no
 const LEAST_SHARE = 0.42, ROOM_AROUND = 1.12;  // of the picture's height that a print takes at least; around print and wrist
 const LOOKED_AT = [0.05, 0.2, 0.35, 0.5, 0.65, 0.8, 0.95];  // shares of the motion
 const LEAST_HIGH = 0.15;  // m: what is seen of the scene at least, from top to bottom
+const MOST_LARGER = 2.5;  // times the print's size, that what it goes through is, to be seen whole
 const OFF_CENTRE = 0.16;  // of the picture, how far from its middle a print is, to make room for the arm
 const BEHIND = 3;  // of the arm's last joints, which should be seen with the print
 
@@ -15,10 +16,10 @@ function viewOf(stage, scene, which) {
   const boxOf = (meshes) => meshes.reduce((box, mesh) => box.expandByObject(mesh), new THREE.Box3());
   const last = Math.max(0, ...bodies.filter((b) => b.kind === "arm").map((b) => b.joints[1]));
   const arm = bodies.filter((b) => b.kind === "head" || (b.kind === "arm" && (whole || b.joints[1] > last - BEHIND))).map((b) => b.mesh);
-  const printed = cornersOf(THREE, boxOf(print)), near = [...arm, ...(whole ? print : [])].flatMap((mesh) => cornersOf(THREE, boxOf([mesh])));
+  const moments = momentsOf(stage, scene, () => boxOf(print));
+  const printed = cornersOf(THREE, goneThrough(THREE, moments)), near = [...arm, ...(whole ? print : [])].flatMap((mesh) => cornersOf(THREE, boxOf([mesh])));
   const aspect = stage.div.clientWidth / Math.max(stage.div.clientHeight, 1), tan = Math.tan(stage.world.camera.fov * Math.PI / 360);
   const reach = scene.cell && stage.now ? reachOf(stage, scene) : null;
-  const moments = momentsOf(stage, scene);
   let best = null, most = -Infinity;
   for (const up of ups) for (let k = 0; k < AROUND; k++) {
     const azimuth = 2 * Math.PI * k / AROUND + 0.2;
@@ -50,8 +51,16 @@ function viewOf(stage, scene, which) {
   return best;
 }
 
-// What should be seen at some moments of the motion, and whether it is: by the boxes around bodies, which is quick.
-function momentsOf(stage, scene) {
+// What the print goes through while it is turned; where it is at the last moment, if that is much more.
+function goneThrough(THREE, moments) {
+  const size = (box) => box.getSize(new THREE.Vector3()).length(), now = moments[moments.length - 1].box;
+  const all = moments.reduce((box, moment) => box.union(moment.box), new THREE.Box3());
+  return size(all) > MOST_LARGER * size(now) ? now : all;
+}
+
+// What should be seen at some moments of the motion, and whether it is, by the boxes around bodies, which is quick; and the
+// print's own box.
+function momentsOf(stage, scene, boxOfPrint) {
   const { THREE } = stage, solid = stage.bodies.filter((b) => b.joints && b.mesh.visible), now = stage.t;
   const times = scene.motion && scene.lines ? [...LOOKED_AT.map((share) => share * scene.end), now] : [now];
   solid.forEach(({ mesh: { geometry } }) => { if (!geometry.boundingBox) geometry.computeBoundingBox(); });
@@ -67,7 +76,7 @@ function momentsOf(stage, scene) {
       const box = mesh.geometry.boundingBox;
       return box.containsPoint(to) || !ray.intersectBox(box, hit) || hit.distanceTo(start) > length - STANDS_OFF;
     });
-    return { spots, clear };
+    return { spots, clear, box: boxOfPrint() };
   });
 }
 
