@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from solved import solve_alone
 
 from planner.base.errors import InputError
+from planner.base.rapid_names import ARMS
 from planner.cell.cell import Cell, build_cell
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.plan_json import plan_json
@@ -32,7 +33,6 @@ from planner.link.rws import Rws
 from planner.link.streaming import stream_of
 from planner.plan import Plan
 from planner.problem import load_problem
-from planner.problem.settings import ARMS
 from planner.simulate.rws import Access
 from planner.simulate.start import start
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, TypeVar
 
-from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
+from planner.base.rapid_names import ARMS, LONGEST_NAME, OWN_NAMES
 from planner.export.axes.flavours import FLAVOURS
 from planner.export.external import external_axes, moving_unit
 from planner.export.rapid.text import module_name
@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 Output = TypeVar("Output", int, str)
 
 EXTERNAL_AXES = 6  # of KRL: E1 to E6
-ARMS = ("ROB_1", "ROB_2")  # mechanical units of a MultiMove system
 STANDARD_OUTPUTS = 8  # of a UR control box, numbered from 0
 VAL3_OUTPUTS = 16  # of the board that a CS8 or CS9 has, numbered from 0
 STATION = ("U", "V")  # letters of what moves a robot's part: genserkins hands them on to further joints

@@ -29,17 +29,10 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 from planner.base.errors import InputError, nearest_name
-from planner.base.rapid_names import LONGEST_NAME
+from planner.base.rapid_names import LONGEST_NAME, RAPID_WORDS
 from planner.problem.yaml_file import ValueSources, describe, parse_yaml, shorten
 
 LONGEST_TEXT = 1000  # characters; a path of a file, or a name in words
-_RESERVED = """
-alias and backward case connect const default div do else elseif endfor endfunc endif endmodule endproc
-endrecord endtest endtrap endwhile error exit false for from func goto if inout local mod module nostepin not
-noview or pers proc raise readonly record retry return step sysmodule test then to trap true trynext undo var
-viewonly while with xor
-"""
-RAPID_WORDS = frozenset(_RESERVED.split())
 Vector = tuple[float, float, float]
 
 Model = type[BaseModel]

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import model_validator
 
-from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
+from planner.base.rapid_names import ARMS, LONGEST_NAME, OWN_NAMES
 from planner.problem.fields import (
     IDENTIFIER,
     INCREASING,
@@ -65,7 +65,7 @@ SYNCS: tuple[str, ...] = get_args(SyncName)
 INPUTS = {"reprap": 56, "marlin": 256}
 FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for programs
 # mechanical units of ABB controllers: a positioner, and the arms of a MultiMove system
-POSITIONER, ARMS = "STN1", ("ROB_1", "ROB_2")
+POSITIONER = "STN1"
 SECOND_ARM = ARMS[1]
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planner.base.arrays import Array
-from planner.base.rapid_names import LONGEST_NAME
+from planner.base.rapid_names import ARMS, LONGEST_NAME
 from planner.export.external import carrying_axes, external_written, moving_unit
 from planner.export.fit import angle, from_matrix
 from planner.export.moves import Moves
@@ -38,7 +38,6 @@ from planner.export.rapid.text import (
     running,
     unloading,
 )
-from planner.export.support import ARMS
 
 if TYPE_CHECKING:
     from planner.plan import Plan

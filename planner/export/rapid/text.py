@@ -8,21 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES
+from planner.base.rapid_names import LONGEST_NAME, OWN_NAMES, RAPID_WORDS
 from planner.export.parts import numbered
 from planner.export.text import ascii_comment
 
 # ----------------------------------------------------------------------------------------------------
 # Names and comments.
 
-# ABB, RAPID kernel reference, reserved words; and the names of our own procedures
-RESERVED = """ALIAS AND BACKWARD CASE CONNECT CONST DEFAULT DIV DO ELSE ELSEIF ENDFOR ENDFUNC ENDIF ENDMODULE ENDPROC ENDRECORD
-    ENDTEST ENDTRAP ENDWHILE ERROR EXIT FALSE FOR FROM FUNC GOTO IF INOUT LOCAL MOD MODULE NOSTEPIN NOT NOVIEW OR PERS
-    PROC RAISE READONLY RECORD RETRY RETURN STEP SYSMODULE TASK TEST THEN TO TRAP TRUE TRYNEXT UNDO VAR VIEWONLY WHILE
-    WITH XOR BASE USER MAIN START FINISH"""
-# ABB, RAPID reference: types, instructions and functions that a problem could be named after, and a module must not be
-PREDEFINED = """ABS ACOS ADD ASIN ATAN BOOL BREAK BYTE CLEAR CLOCK CLOSE COS DECR DIM DISTANCE DNUM EXP INCR LOAD NUM OFFS OPEN
-    ORIENT POS POSE POW PRESENT RESET REWIND ROUND SAVE SET SIN SQRT STOP STRING SWITCH TAN TRUNC UNLOAD WRITE"""
+# ABB, RAPID reference: data, types, instructions and functions that a problem could be named after, and a module must not be
+PREDEFINED = """abs acos add asin atan base bool break byte clear clock close cos decr dim distance dnum exp incr load num offs
+    open orient pos pose pow present reset rewind round save set sin sqrt stop string switch tan task trunc unload user
+    write"""
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3, "z5": 5e-3, "z10": 10e-3}
 # And our own, for corners that z0 would cut by too much: radius of tool path, and of reorientation, external axes [mm];
@@ -39,7 +35,7 @@ def module_name(name: str, longest: int = LONGEST_NAME) -> str:
     words = re.findall(r"[A-Za-z0-9]+", name)
     joined = "".join(word[0].upper() + word[1:] for word in words)
     # capitals and small letters are one to RAPID: a problem named "test" would open a TEST statement
-    taken = joined.upper() in f"{RESERVED} {PREDEFINED}".split() or OWN_NAMES.fullmatch(joined)
+    taken = joined.lower() in RAPID_WORDS.union(PREDEFINED.split()) or OWN_NAMES.fullmatch(joined)
     similar = re.fullmatch(r"(?i)(bead|vel|trg|bw)\w*", joined)
     whole = "Print" + joined if taken or similar or not joined[:1].isalpha() else joined
     resumed = re.search(r"From\d+$", whole)  # which tells programs of one problem apart
