@@ -34,7 +34,7 @@ from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.verify.checks import FAR, Judged
 from planner.verify.executed import executed_motion
-from planner.verify.nozzle import beyond, slack_along
+from planner.verify.nozzle import beyond, room_along
 from planner.verify.pressed import Laid, deepest, laid_beads
 
 PRINTS = (
@@ -151,11 +151,8 @@ def beyond_by_coal(judged: Judged, looks: Sequence[int]) -> float:
     """How near [m] nozzle and head come to the beads beyond the tip's zone, at some samples."""
     spec, laid, t, motion = judged.problem.collision, laid_beads(judged), judged.trajectory, judged.motion
     shapes = [(coal_body(body), body.T_frame_solid) for body in judged.cell.head]
-    slack, print_, least = (
-        slack_along(judged.problem, judged.toolpath, t, judged.problem.cell.nozzle),
-        PrintOfCapsules(laid),
-        FAR,
-    )
+    slack = room_along(judged.problem, judged.toolpath, t, judged.problem.cell.nozzle).slack
+    print_, least = PrintOfCapsules(laid), FAR
     for j in looks:
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = motion.rotation[j], motion.tip[j]

@@ -12,7 +12,7 @@ from planner.base.arrays import Array
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, packed
 from planner.collision.point_tree import point_tree, solid_distance
-from planner.collision.print_body import TIP_SLOPE, PrintBody
+from planner.collision.print_body import TIP_SLOPE, PrintBody, TipRoom
 from planner.verify.bodies import CellBodies, Distances, pairs
 from planner.verify.checks import FAR
 from planner.verify.collision import PrintPair, print_pairs, sweep
@@ -111,8 +111,8 @@ def test_a_print_on_a_table_that_turns_is_as_near_as_at_every_sample(tmp_path: P
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("lift", [0.0, 2e-3, 8e-3])
-def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift: float) -> None:
+@pytest.mark.parametrize(("lift", "graze"), [(0.0, np.inf), (0.0, 2e-4), (2e-3, 0.0), (8e-3, 2e-4)])
+def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift: float, graze: float) -> None:
     """Every sample, every body, every point that is there; where it touches, and where it has much to spare."""
     _, cell = scene(tmp_path, FIXTURES)
     rng = np.random.default_rng(5)
@@ -133,11 +133,13 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift
     now, slack, clearance = 2.5 * np.floor(4 * u), np.full(n, 4e-4), 2e-3
     tree = point_tree(points, 2e-4, time)
     head = packed(cell.head)
-    found = nozzle_nearness(tree, head, motion, now, slack, clearance)
-    far = beyond_the_tip(tree, head, motion, now, slack, clearance)
+    room = TipRoom(slack, np.full(n, graze))
+    found = nozzle_nearness(tree, head, motion, now, room, clearance)
+    far = beyond_the_tip(tree, head, motion, now, room, clearance)
     least, spare = np.inf, np.full(n, FAR)
     for k in range(n):
-        local = (points[time < now[k]] - tip[k]) @ rotation[k]
+        there = time < now[k]
+        local, still = (points[there] - tip[k]) @ rotation[k], np.isinf(time[there])
         away = np.linalg.norm(local, axis=1)
         need = np.minimum(clearance, TIP_SLOPE * away - slack[k])
         beyond = away >= (clearance + slack[k]) / TIP_SLOPE
@@ -146,7 +148,7 @@ def test_the_nozzle_from_print_is_as_near_as_by_brute_force(tmp_path: Path, lift
             own = local @ T[:3, :3].T + T[:3, 3]
             d = np.array([solid_distance(head.kind[j], head.size[j], head.planes, *p) for p in own]) - 2e-4
             if len(d):
-                least = min(least, float((d - need).min()))
+                least = min(least, float((d - need).min()), float((d[still] + 2e-4 + graze).min(initial=np.inf)))
             spare[k] = min(spare[k], (d[beyond] - clearance).min(initial=FAR))
     assert least < FAR
     assert least - 2e-4 <= found.least <= least + 1.1e-4  # between samples it may be nearer still

@@ -1,4 +1,4 @@
-"""Ten planted collisions, each found with the right bodies named, and beside each what is nearly one and is not."""
+"""Eleven planted collisions, each found with the right bodies named, and beside each what is nearly one and is not."""
 
 from __future__ import annotations
 
@@ -380,6 +380,25 @@ def test_10_the_arm_and_the_finished_print(tmp_path: Path) -> None:
     worst = next(each for each in after.approaches if each.b.startswith("bead"))
     assert worst.a.startswith("link_") and worst.distance < 5e-3
     assert TRAVEL == -1 and worst.sample >= n
+
+
+def test_11_the_nozzles_face_and_a_sheet_under_a_bead(tmp_path: Path) -> None:
+    """The bead is 6 mm wide and 2 mm high: near its tip the nozzle may come 3 mm into what is printed, of a sheet 1 mm."""
+    bead = straight_bead(np.array([-0.02, 0.0, 2e-3]), np.array([0.02, 0.0, 2e-3]))
+    toolpath = toolpath_of([replace(bead, width=np.full(60, 6e-3), height=np.full(60, 2e-3))])
+    for top, fails in ((3.5, True), (2.7, False)):
+        sheet = f"  fixtures: {{sheet: {{box_mm: [20, 20, 1], centre_mm: [0, 0, {top - 0.5}], on: part}}}}\n"
+        problem, cell = scene(tmp_path, BED + sheet, ", profile_mm: [[0, 4], [20, 12]]}")
+        laid = laying(cell, toolpath, 0)
+        found = look(problem, cell, toolpath, [laid])
+        assert found.failed == ({NOZZLE} if fails else set())
+        planned, _ = obstacles_of(problem, cell, toolpath).margins(laid.q, np.zeros(len(laid.q)), np.inf)
+        assert (planned.min() < 0.0) == fails
+        if fails:
+            check, worst = found.checks[NOZZLE], found.approaches[0]
+            assert (check.value, check.limit) == pytest.approx((-1.5, -1.0), abs=0.02)
+            assert (worst.a, worst.b) == ("nozzle", "sheet") and worst.distance == pytest.approx(-1.5e-3, abs=2e-5)
+            assert planned.min() == pytest.approx(-0.5e-3, abs=2e-5)
 
 
 def test_a_start_posture_in_a_table_is_refused_before_anything_is_planned(tmp_path: Path) -> None:

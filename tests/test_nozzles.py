@@ -18,7 +18,7 @@ import planner.planning.pipeline
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.cell.robot import Robot
-from planner.collision.print_body import tip_slack
+from planner.collision.print_body import tip_room
 from planner.collision.scene import HEAD, collision_bodies, obstacles_of
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast, joined
@@ -178,8 +178,8 @@ def test_all_nozzles_are_obstacles_where_they_are_together_and_only_the_own_one_
 def test_slack_at_the_tip_is_that_of_the_nozzle_which_lays_the_bead() -> None:
     plan = two_nozzles()
     problem, toolpath = plan.problem, plan.toolpath
-    each = [tip_slack(problem, toolpath, problem.cell.nozzles[name]) for name in ("tPla", "tPva", "tPla")]
-    assert np.array_equal(tip_slack(problem, toolpath), [own[k] for k, own in enumerate(each)])
+    each = [tip_room(problem, toolpath, problem.cell.nozzles[name]).slack for name in ("tPla", "tPva", "tPla")]
+    assert np.array_equal(tip_room(problem, toolpath).slack, [own[k] for k, own in enumerate(each)])
 
 
 # --- the plan ----------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid, 
 from planner.collision.gjk import solids_distance
 from planner.collision.margins import SUNK, nearest_margins
 from planner.collision.point_tree import point_tree
-from planner.collision.print_body import TIP_SLOPE
+from planner.collision.print_body import TIP_SLOPE, TipRoom
 from planner.collision.scene import Around, Obstacles, _assembled, obstacles_of, surface_points
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
@@ -94,7 +94,7 @@ def scene(problem: Problem) -> tuple[Cell, Obstacles]:
     fixtures = (Body("post", Frustum(0.03, 0.02, 0.6), at(0.5, 0.3, 0.3)), Body("corner", mesh, at(0.3, -0.4, 0.6)))
     cell = with_bodies(build_cell(problem), fixtures, (Body("block", Box((0.05, 0.1, 0.2)), at(0.1, 0.1, 0.1)),))
     part = point_tree(rng.uniform(-0.1, 0.1, (40, 3)), 1e-3, rng.uniform(0.0, 10.0, 40))
-    return cell, _assembled(cell, Around(2e-3, 5e-3, np.full(12, 0.5e-3), part))
+    return cell, _assembled(cell, Around(2e-3, 5e-3, TipRoom(np.full(12, 0.5e-3), np.zeros(12)), part))
 
 
 def some_postures(cell: Cell, n: int) -> np.ndarray:

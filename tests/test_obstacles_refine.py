@@ -14,6 +14,7 @@ from planner.cell.cell import Cell, build_cell
 from planner.cell.solids import Body, Capsule
 from planner.collision import scene
 from planner.collision.point_tree import point_tree
+from planner.collision.print_body import TipRoom
 from planner.collision.scene import NOTHING, Around, Obstacles, _assembled, obstacles_of
 from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
@@ -144,7 +145,7 @@ def wall_beside(bare: Cell) -> Obstacles:
     """A wall of the part from 5 mm beside a line along y on, 25 mm high."""
     y, z = np.meshgrid(np.arange(-0.04, 0.0405, 1e-3), np.arange(0.0, 0.0255, 1e-3), indexing="ij")
     points = np.column_stack([np.full(y.size, 5e-3), y.ravel(), z.ravel()]) + [0.0, 0.0, 0.15]
-    return _assembled(bare, Around(2e-3, 5e-3, np.full(1, 4e-4), point_tree(points, 1e-4)))
+    return _assembled(bare, Around(2e-3, 5e-3, TipRoom(np.full(1, 4e-4), np.zeros(1)), point_tree(points, 1e-4)))
 
 
 def line_task(tilt: float) -> NozzleTask:

@@ -194,7 +194,8 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
 
     on_part, off_part: whether head and part, and whether all else is wanted
     """
-    look, keep, slack, head_on_part = table.look, table.keep, table.slack, table.head_on_part
+    look, keep, slack, graze = table.look, table.keep, table.slack, table.graze
+    head_on_part = table.head_on_part
     first, tree_frame, T_frame_tree = table.first, table.tree_frame, table.T_frame_tree
     points, radius, time, since = table.points, table.radius, table.time, table.since
     node_centre, node_reach, left, right = table.node_centre, table.node_reach, table.left, table.right
@@ -225,8 +226,11 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
             points[p0:p1], radius[p0:p1], time[p0:p1], node_centre[n0:n1], node_reach[n0:n1], since[n0:n1],
             left[n0:n1], right[n0:n1],
         )  # fmt: skip
-        own = slack[min(max(int(now), 0), len(slack) - 1)] if head_on_part[k] else keep[k, 2]
-        solid, rule = SolidNumbers(kind[b], size[b], planes), TipRule(keep[k, 0], keep[k, 1], own)
+        own, deep = keep[k, 2], np.inf
+        if head_on_part[k]:
+            bead = min(max(int(now), 0), len(slack) - 1)
+            own, deep = slack[bead], graze[bead]
+        solid, rule = SolidNumbers(kind[b], size[b], planes), TipRule(keep[k, 0], keep[k, 1], own, deep)
         margin, found = nearest_point(tree, solid, into, few[TIP], rule, now, best, SUNK, room.search)
         if found >= 0:
             best, which, point = margin, k, found

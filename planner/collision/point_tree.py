@@ -45,7 +45,8 @@ class SolidNumbers(NamedTuple):
 
 
 class TipRule(NamedTuple):
-    """What is asked of a point at distance r [m] from the nozzle's tip: min(clearance, slope * r - slack) [m].
+    """What is asked of a point at distance r [m] from the nozzle's tip: min(clearance, slope * r - slack) [m], and of one
+    that is there from the start no less than -graze, its ball left out of account.
 
     To ask for the clearance everywhere, let the slope be 0 and the slack -clearance.
     """
@@ -53,6 +54,7 @@ class TipRule(NamedTuple):
     clearance: float
     slope: float
     slack: float
+    graze: float
 
 
 class SearchRoom(NamedTuple):
@@ -199,17 +201,12 @@ def solid_distance(kind, size, planes, x, y, z):
 
 
 @inner_njit(error_model="numpy")
-def point_value(p, radius, solid, T_solid_tree, tip, rule):
-    """The value of one point p (3) that `nearest_point` looks for the least of."""
-    T = T_solid_tree
-    d = solid_distance(
-        solid.kind, solid.size, solid.planes,
-        T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3],
-        T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3],
-        T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3],
-    )  # fmt: skip
-    away = np.sqrt((p[0] - tip[0]) ** 2 + (p[1] - tip[1]) ** 2 + (p[2] - tip[2]) ** 2)
-    return d - radius - min(rule.clearance, rule.slope * away - rule.slack)
+def point_value(tree, i, solid, T_solid_tree, tip, rule):
+    """The value of a point, by its place in the tree's order, that `nearest_point` looks for the least of."""
+    points = tree.points
+    away, d = _between(points, i, tip), _apart(points, i, solid.kind, solid.size, solid.planes, T_solid_tree)
+    value = d - tree.radius[i] - min(rule.clearance, rule.slope * away - rule.slack)
+    return min(value, d + rule.graze) if tree.time[i] == FROM_THE_START else value
 
 
 @inner_njit(error_model="numpy")
@@ -218,8 +215,8 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
 
         distance(solid, ball of the point) - min(clearance, slope * (distance of the point from the tip) - slack)
 
-    if that is less than `enough` [m]; and the point, in the tree's order, or -1. Where some are less than
-    -deep, any of these.
+    and for those that are there from the start of distance(solid, point) + graze besides, if that is less than
+    `enough` [m]; and the point, in the tree's order, or -1. Where some are less than -deep, any of these.
 
     tree: `TreeArrays`; solid: `SolidNumbers`; rule: `TipRule`; T_solid_tree (4, 4) takes points of the tree's frame
     into the solid's; tip (3) in the tree's frame [m]; room: `SearchRoom`.
@@ -228,7 +225,7 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
     points, radius, time, since = tree.points, tree.radius, tree.time, tree.since
     centre, reach, left, right = tree.centre, tree.reach, tree.left, tree.right
     kind, size, planes = solid.kind, solid.size, solid.planes
-    clearance, slope, slack = rule.clearance, rule.slope, rule.slack
+    clearance, slope, slack, graze = rule.clearance, rule.slope, rule.slack, rule.graze
     nodes, lows = room.nodes, room.lows
     best, found, T = enough, -1, T_solid_tree
     nodes[0], lows[0], waiting = 0, -np.inf, 1
@@ -243,6 +240,8 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
                     continue
                 away, d = _between(points, i, tip), _apart(points, i, kind, size, planes, T)
                 value = d - radius[i] - min(clearance, slope * away - slack)
+                if time[i] == FROM_THE_START:
+                    value = min(value, d + graze)
                 if value < best:
                     best, found = value, i
             if best < -deep:
@@ -255,6 +254,8 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
                 continue
             away, d = _between(centre, child, tip), _apart(centre, child, kind, size, planes, T)
             low = d - reach[child] - min(clearance, slope * (away + reach[child]) - slack)
+            if since[child] == FROM_THE_START:
+                low = min(low, d - reach[child] + graze)
             if low >= best:
                 continue
             nodes[waiting], lows[waiting] = child, low

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -189,6 +190,9 @@ def _farthest(t):
 # Nobody can keep a whole clearance where the nozzle lays a bead beside another: a point of part or print needs this share
 # of its distance from the nozzle's tip, less what the share is where nozzle's face and bead end.
 TIP_SLOPE = 0.25
+# What is there from the start may be entered by no more than this share of the bead's height, however near it is to the tip,
+# as beads may: `verify.pressed`.
+_GRAZED = 0.5
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
@@ -331,12 +335,19 @@ def standing(cell: Cell) -> tuple[Body, ...]:
     return tuple(found)
 
 
-def tip_slack(problem: Problem, toolpath: Toolpath, nozzle: NozzleSpec | None = None) -> Array:
-    """By how much less than TIP_SLOPE times the distance from the tip is kept beside each bead (n beads) [m]: of this nozzle,
-    or of the one that lays the bead."""
+class TipRoom(NamedTuple):
+    """What is not asked for near the tip, of beads or of samples (n) [m]: `slack` and `graze` of a `TipRule`."""
+
+    slack: Array
+    graze: Array
+
+
+def tip_room(problem: Problem, toolpath: Toolpath, nozzle: NozzleSpec | None = None) -> TipRoom:
+    """What is not asked for beside each bead (n beads): of this nozzle, or of the one that lays the bead."""
     own = [nozzle or problem.nozzle_of(bead.material) for bead in toolpath.beads]
     sizes = [float((bead.height + bead.width).max()) for bead in toolpath.beads]
-    return TIP_SLOPE * (np.array([nozzle_profile(each)[0][1] for each in own]) + np.array(sizes))
+    slack = TIP_SLOPE * (np.array([nozzle_profile(each)[0][1] for each in own]) + np.array(sizes))
+    return TipRoom(slack, _GRAZED * np.array([float(bead.height.max()) for bead in toolpath.beads]))
 
 
 def _substrate(toolpath: Toolpath) -> Array | None:

@@ -24,11 +24,12 @@ from planner.collision.print_body import (
     MERGED,
     TIP_SLOPE,
     PrintBody,
+    TipRoom,
     merged,
     print_body,
     split,
     standing,
-    tip_slack,
+    tip_room,
     without_slivers,
 )
 from planner.collision.table import Table, with_fields
@@ -156,13 +157,13 @@ _BUILT = 5e-3  # m: so near, however much is asked for; the default of collision
 
 @dataclass(frozen=True)
 class Around:
-    """What obstacles are made of besides the cell: clearances of head and robots [m], the slack of the head's near the
-    tip (n beads, see `nearest_point`), and the points of part and print in the part frame, with what does not move there;
+    """What obstacles are made of besides the cell: clearances of head and robots [m], what is not asked of the head near
+    the tip (n beads), and the points of part and print in the part frame, with what does not move there;
     body: whose these points are; meshes: those of the cell that do not fill their hulls, with points in their own frames."""
 
     nozzle: float
     arm: float
-    slack: Array
+    room: TipRoom
     part: PointTree
     body: PrintBody | None = None
     meshes: tuple[tuple[Mesh, PointTree], ...] = ()
@@ -289,7 +290,7 @@ def _empty() -> Table:
         T_frame_solid=no_poses, ball=np.zeros((0, 4)), pair=no_pairs, needed=none,
         points=no_points, radius=none, time=none, node_centre=no_points, node_reach=none, since=none,
         left=no_index, right=no_index, first=np.zeros((0, 4), dtype=np.int64), tree_frame=no_index,
-        T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none,
+        T_frame_tree=no_poses, look=no_pairs, keep=no_points, slack=none, graze=none,
         head_on_part=np.zeros(0, dtype=np.bool_), round_on_part=np.zeros(0, dtype=np.bool_),
     )  # fmt: skip
     return with_fields(table, **table._asdict())
@@ -302,7 +303,7 @@ def obstacles_of(problem: Problem, cell: Cell, toolpath: Toolpath, body: PrintBo
     """What may touch in a problem's cell while a toolpath is printed; body: as for `verify`."""
     body = body or print_body(toolpath, standing(cell))
     keep = problem.collision
-    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_slack(problem, toolpath), body.tree, body))
+    return _assembled(cell, Around(keep.nozzle, keep.arm, tip_room(problem, toolpath), body.tree, body))
 
 
 def _assembled(cell: Cell, around: Around) -> Obstacles:
@@ -347,7 +348,8 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
         T_frame_tree=np.array(poses),
         look=np.array(look, dtype=np.int64).reshape(-1, 2),
         keep=np.column_stack([keep, np.where(on_part, TIP_SLOPE, 0.0), -keep]),
-        slack=around.slack,
+        slack=around.room.slack,
+        graze=around.room.graze,
         head_on_part=on_part,
         round_on_part=on_part & round_,
         **_joined(trees),

@@ -26,6 +26,7 @@ class Table(NamedTuple):
     look (k, 2)                           body and tree
     keep (k, 3)                           clearance, slope and slack, see `nearest_point`
     slack (n beads)                       in the place of the third where head and part are, by the bead that is printed
+    graze (n beads)                       as `TipRule` has it where head and part are, likewise; elsewhere it says nothing
     head_on_part (k)                      head and part: a nozzle's pose in the part alone says how they are
     round_on_part (k)                     of these, where the head's body is round about the nozzle's axis: roll changes nothing
     """
@@ -58,6 +59,7 @@ class Table(NamedTuple):
     look: Ints
     keep: Array
     slack: Array
+    graze: Array
     head_on_part: Flags
     round_on_part: Flags
 

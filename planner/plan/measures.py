@@ -629,7 +629,7 @@ CHECKS: dict[str, Measure] = {
         "mm",
         "nozzle and print head keep their distance from part and print; near the tip, where they must touch, less and less",
         "see nozzle_clearance_min_mm; the limit is collision.nozzle_mm. Where it fails near the tip: the true distance, "
-        "negative inside, and what is asked for there",
+        "negative inside, and what is asked for there; part and fixtures may be entered by half a bead's height at most",
     ),
     "print pressed by the nozzle": Measure(
         "of a bead's height",

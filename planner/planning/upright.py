@@ -17,7 +17,7 @@ from planner.base.arrays import Array
 from planner.base.errors import Blocked, Change, Hints
 from planner.cell.cell import build_cell
 from planner.cell.solids import packed
-from planner.collision.print_body import tip_slack
+from planner.collision.print_body import TipRoom, tip_room
 from planner.collision.scene import is_round
 from planner.planning.clearance import may_come_nearer
 from planner.planning.context import PlanningContext, context_of
@@ -83,14 +83,13 @@ def _met(given: PlanningContext) -> _Met | None:
     }
     solids = {name: packed(head) for name, head in heads.items()}
     clearance = _asked(problem)
-    slack = tip_slack(problem, given.toolpath)
+    room = tip_room(problem, given.toolpath)
     for k in range(given.first_bead, len(beads)):
         bead = beads[k]
         s, motion = _along(bead)
         now = np.minimum(k + s / bead.length, np.nextafter(k + 1.0, 0.0))
-        found = nozzle_nearness(
-            body.tree, solids[bead.material], motion, now, np.full(len(s), slack[k]), clearance, look=0.0
-        )
+        own = TipRoom(np.full(len(s), room.slack[k]), np.full(len(s), room.graze[k]))
+        found = nozzle_nearness(body.tree, solids[bead.material], motion, now, own, clearance, look=0.0)
         if found.point >= 0 and found.least < -DIGITS:
             head = heads[bead.material][found.body].name
             return _Met(k, float(s[found.at]), head, body.name_of(found.point), -float(found.least))

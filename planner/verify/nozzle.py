@@ -2,8 +2,9 @@
 
 No fixed distance can be kept where the nozzle lays one bead beside another. In the tip's zone a point at distance r from
 the tip is to be TIP_SLOPE * r away, less a slack for the nozzle's face and the bead; where that exceeds the distance asked
-for, the latter is kept. The margin of a point is its distance less what it is to keep; checks tell true distances, and what
-is asked for at the same place. How deep beads are pressed where even less than nothing is asked for: `pressed`.
+for, the latter is kept. What is there from the start may be entered by half a bead's height at most; how deep beads are
+pressed where less than nothing is asked for: `pressed`. The margin of a point is its distance less what it is to keep; checks
+tell true distances, and what is asked for at the same place.
 
 The compiled loops bound by how much a margin can change with the motion, and pass over samples, points and instants
 between samples as long as the least margin cannot lie there. All is in the part frame, in metres; n counts samples.
@@ -24,6 +25,7 @@ from planner.base.geometry import arc_lengths
 from planner.base.processes import in_blocks
 from planner.cell.solids import Packed, packed
 from planner.collision.point_tree import (
+    FROM_THE_START,
     PointTree,
     SolidNumbers,
     TipRule,
@@ -32,7 +34,7 @@ from planner.collision.point_tree import (
     search_room,
     solid_distance,
 )
-from planner.collision.print_body import TIP_SLOPE, tip_slack
+from planner.collision.print_body import TIP_SLOPE, TipRoom, tip_room
 from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.problem.cell import NozzleSpec
@@ -70,7 +72,7 @@ class NozzleWay(NamedTuple):
     tip (n, 3) [m] and rotation (n, 3, 3)   its tip and axes in the part frame
     path (n) [m], turned (n) [rad]          how far they have moved and turned since the first sample
     now (n), seen (n)                       what is printed, see `print_times`, and what may count as printed
-    slack (n) [m]                           as `TipRule` has it
+    slack (n), graze (n) [m]                as `TipRule` has them
     """
 
     tip: Array
@@ -79,6 +81,7 @@ class NozzleWay(NamedTuple):
     turned: Array
     now: Array
     slack: Array
+    graze: Array
     seen: Array
 
 
@@ -99,11 +102,11 @@ def least_along(tree, solids, way, clearance, slope, search):
 
     tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; search: `SearchRoom`.
     """
-    points, radius, time = tree.points, tree.radius, tree.time
+    points, time = tree.points, tree.time
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
-    slack, seen = way.slack, way.seen
+    slack, graze, seen = way.slack, way.graze, way.seen
     n, nodes = len(seen), search.nodes
     least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
     poses = np.empty((_OFTEN + 1, 4, 4))
@@ -112,11 +115,13 @@ def least_along(tree, solids, way, clearance, slope, search):
         solid, a = SolidNumbers(kind[j], size[j], planes), _ZERO
         while a < n - 1:
             b = a + 1
-            while b < min(n - 1, a + _OFTEN) and slack[b + 1] == slack[b] and path[b + 1] - path[a] < _BLOCK:
+            while b < min(n - 1, a + _OFTEN) and path[b + 1] - path[a] < _BLOCK:
+                if slack[b + 1] != slack[b] or graze[b + 1] != graze[b]:
+                    break
                 b += 1
             c = (a + b) // 2
             T, p, seeing, posed = poses[c - a], tip[c], seen[b], False
-            rule = TipRule(clearance, slope, slack[b])
+            rule = TipRule(clearance, slope, slack[b], graze[b])
             _pose(T_solid_frame[j], rotation[c], p, T)
             gone = max(path[c] - path[a], path[b] - path[c])
             turn = max(turned[c] - turned[a], turned[b] - turned[c])
@@ -134,9 +139,11 @@ def least_along(tree, solids, way, clearance, slope, search):
                     T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3],
                     T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3],
                 )  # fmt: skip
-                most = min(clearance, slope * away - slack[b])
+                low = d - reach[node] - min(clearance, slope * away - slack[b])
+                if since[node] == FROM_THE_START:
+                    low = min(low, d - reach[node] + graze[b])
                 moved = (1.0 + slope) * gone + (away + gone) * turn
-                if d - reach[node] - most - moved >= least - TOLERANCE:
+                if low - moved >= least - TOLERANCE:
                     continue
                 if left[node] >= 0:
                     nodes[waiting], nodes[waiting + 1] = left[node], right[node]
@@ -145,7 +152,7 @@ def least_along(tree, solids, way, clearance, slope, search):
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
                     if time[i] >= seeing:
                         continue
-                    value = point_value(points[i], radius[i], solid, T, p, rule)
+                    value = point_value(tree, i, solid, T, p, rule)
                     x, y, z = points[i, 0], points[i, 1], points[i, 2]
                     away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
                     if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
@@ -164,13 +171,13 @@ def least_along(tree, solids, way, clearance, slope, search):
 def _here_and_there(tree, solids, way, clearance, slope, search):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
-    tip, rotation, slack, seen = way.tip, way.rotation, way.slack, way.seen
+    tip, rotation, slack, graze, seen = way.tip, way.rotation, way.slack, way.graze, way.seen
     least, where, whose, which = FAR, 0, 0, -1
     T = np.empty((4, 4))
     for j in range(len(kind)):
         for k in range(0, len(seen), _OFTEN):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
-            solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k])
+            solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k], graze[k])
             value, point = nearest_point(tree, solid, T, tip[k], rule, seen[k], least, np.inf, search)
             if value < least:
                 least, where, whose, which = value, k, j, point
@@ -185,7 +192,7 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
 
     of: the point in the tree's order; T_solid_nozzle (4, 4); rule: `TipRule` of the block; room: `BlockRoom`
     """
-    point, radius, time = tree.points[of], tree.radius[of], tree.time[of]
+    point, time = tree.points[of], tree.time[of]
     tip, path, turned, seen = way.tip, way.path, way.turned, way.seen
     poses, samples, values = room.poses, room.samples, room.values
     slope = rule.slope
@@ -195,7 +202,7 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
     begin = max(a, first - 1)
     c = max(begin, (a + b) // 2)
     target, where = least - TOLERANCE, c
-    middle = point_value(point, radius, solid, poses[c - a], tip[c], rule)
+    middle = point_value(tree, of, solid, poses[c - a], tip[c], rule)
     if c >= first and middle < least:
         least, where = middle, c
     away = np.sqrt((point[0] - tip[c, 0]) ** 2 + (point[1] - tip[c, 1]) ** 2 + (point[2] - tip[c, 2]) ** 2)
@@ -205,7 +212,7 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
         moved = (1.0 + slope) * abs(path[end] - path[c]) + away * abs(turned[end] - turned[c])
         if end == c or middle - moved >= target:
             continue
-        value = point_value(point, radius, solid, poses[end - a], tip[end], rule)
+        value = point_value(tree, of, solid, poses[end - a], tip[end], rule)
         if end >= first and value < least:
             least, where = value, end
         samples[waiting, 0], samples[waiting, 1] = min(end, c), max(end, c)
@@ -219,12 +226,12 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
         if 0.5 * (vi + vk - moved) >= target:
             continue
         if k == i + 1:
-            value = _least_between(point, radius, solid, T_solid_nozzle, way, i, rule, vi + vk, moved, target)
+            value = _least_between(tree, of, solid, T_solid_nozzle, way, i, rule, vi + vk, moved, target)
             if value < least:
                 least, where = value, k
             continue
         m = (i + k) // 2
-        value = point_value(point, radius, solid, poses[m - a], tip[m], rule)
+        value = point_value(tree, of, solid, poses[m - a], tip[m], rule)
         if m >= first and value < least:
             least, where = value, m
         samples[waiting, 0], samples[waiting, 1], samples[waiting + 1, 0], samples[waiting + 1, 1] = i, m, m, k
@@ -234,8 +241,8 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
 
 
 @inner_njit(error_model="numpy")
-def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both, moved, target):
-    """The least value of a point at instants between a sample and the next, so many that none below the target lies
+def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, moved, target):
+    """The least value of a point, in the tree's order, at instants between a sample and the next, so many that none below the target lies
     between.
 
     both: the sum of the values at the two, from which it moves by no more than `moved` on the way
@@ -248,7 +255,7 @@ def _least_between(point, radius, solid, T_solid_nozzle, way, first, rule, both,
     for i in range(1, parts):
         _between(Ra, Rb, pa, pb, i / parts, R, p)
         _pose(T_solid_nozzle, R, p, T)
-        least = min(least, point_value(point, radius, solid, T, p, rule))
+        least = min(least, point_value(tree, of, solid, T, p, rule))
     return least
 
 
@@ -291,7 +298,7 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
                 waiting += 1
                 continue
             if ahead == k + 1 and 0.5 * (value + far - moved) < target:
-                rule = TipRule(clearance, slope, way.slack[ahead])
+                rule = TipRule(clearance, slope, way.slack[ahead], way.graze[ahead])
                 inside, found = _look_between(
                     tree, solid, own, way, rule, k, 0.5 * (value + far), 0.5 * moved, target, search
                 )
@@ -327,11 +334,11 @@ def _next_look(way, k, spare, arm, slope):
 def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most, search):
     """The margin of a body at sample k, `most` and FAR at most, and its point; the search begins with the known one, or
     with -1."""
-    T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k]), way.seen[k]
+    T, rule, seeing = np.empty((4, 4)), TipRule(clearance, slope, way.slack[k], way.graze[k]), way.seen[k]
     _pose(T_solid_nozzle, way.rotation[k], way.tip[k], T)
     enough = min(FAR, most)
     if known >= 0 and tree.time[known] < seeing:
-        enough = min(enough, point_value(tree.points[known], tree.radius[known], solid, T, way.tip[k], rule))
+        enough = min(enough, point_value(tree, known, solid, T, way.tip[k], rule))
     value, point = nearest_point(tree, solid, T, way.tip[k], rule, seeing, enough, np.inf, search)
     return value, known if point < 0 else point
 
@@ -413,13 +420,17 @@ def print_times(toolpath: Toolpath, trajectory: Trajectory) -> Array:
     return np.asarray(np.maximum.accumulate(now), dtype=float)
 
 
-def slack_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory, nozzle: NozzleSpec) -> Array:
-    """Slack at a nozzle's tip (n) [m] at each sample: of its bead, in travel the greater one of the beads at its ends."""
-    own = tip_slack(problem, toolpath, nozzle)
-    begun = trajectory.begun
-    last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(own) - 1)
-    both = np.maximum(own[last], own[following])
-    return np.where(trajectory.bead >= 0, own[np.maximum(trajectory.bead, 0)], both)
+def room_along(problem: Problem, toolpath: Toolpath, trajectory: Trajectory, nozzle: NozzleSpec) -> TipRoom:
+    """What is not asked for near a nozzle's tip at each sample (n): of its bead, in travel the greater of the beads at its
+    ends."""
+    begun, bead = trajectory.begun, np.maximum(trajectory.bead, 0)
+    last, following = np.maximum(begun, 0), np.minimum(begun + 1, len(toolpath.beads) - 1)
+    return TipRoom(
+        *(
+            np.where(trajectory.bead >= 0, own[bead], np.maximum(own[last], own[following]))
+            for own in tip_room(problem, toolpath, nozzle)
+        )
+    )
 
 
 def nozzle_nearness(
@@ -427,13 +438,13 @@ def nozzle_nearness(
     bodies: Packed,
     motion: ExecutedMotion,
     now: Array,
-    slack: Array,
+    room: TipRoom,
     clearance: float,
     look: float = _LOOK,
 ) -> Nearness:
-    """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion (see
-    `nearest_point`), to TOLERANCE, also between samples."""
-    way = _way(motion, now, slack, slack, look)
+    """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion, and of distance +
+    graze from what is there from the start (see `nearest_point`), to TOLERANCE, also between samples."""
+    way = _way(motion, now, room.slack, room, look)
     found = least_along(tree.arrays, _solids(bodies), way, clearance, TIP_SLOPE, search_room())
     return Nearness(np.empty(0), *found)
 
@@ -443,7 +454,7 @@ def beyond_the_tip(
     bodies: Packed,
     motion: ExecutedMotion,
     now: Array,
-    slack: Array,
+    room: TipRoom,
     clearance: float,
     look: float = _LOOK,
 ) -> Nearness:
@@ -451,8 +462,9 @@ def beyond_the_tip(
 
     The least is exact to TOLERANCE where it is negative, and to _SPARE of the distance elsewhere.
     """
-    zone = (clearance + slack) / TIP_SLOPE
-    way, solids = _way(motion, now, slack, _STEEP * zone, look), _solids(bodies)
+    zone = (clearance + room.slack) / TIP_SLOPE
+    beyond_it = TipRoom(_STEEP * zone, np.full(len(now), np.inf))
+    way, solids = _way(motion, now, room.slack, beyond_it, look), _solids(bodies)
     n, margin = len(now), np.full(len(now), FAR)
     found: dict[int, tuple[float, int, int, int]] = {}
 
@@ -473,11 +485,11 @@ def _solids(bodies: Packed) -> HeadSolids:
     return HeadSolids(bodies.kind, bodies.size, bodies.planes, bodies.T_solid_frame, bodies.centre, bodies.reach)
 
 
-def _way(motion: ExecutedMotion, now: Array, slack: Array, asked: Array, look: float) -> NozzleWay:
-    """A motion as the kernels want it; asked (n): the slack that they are to ask with."""
+def _way(motion: ExecutedMotion, now: Array, slack: Array, asked: TipRoom, look: float) -> NozzleWay:
+    """A motion as the kernels want it; asked: what they are to ask with."""
     tip, rotation = np.ascontiguousarray(motion.tip), np.ascontiguousarray(motion.rotation)
     seen = now[_looked_ahead(motion.tip, now, slack, look)]
-    return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, asked, seen)
+    return NozzleWay(tip, rotation, *_path_lengths(tip, rotation), now, *asked, seen)
 
 
 def by_the_tip(judged: Judged) -> Nearness:
@@ -495,8 +507,9 @@ def _nearest(judged: Judged, look: Callable[..., Nearness]) -> Nearness:
     problem, toolpath, t = judged.problem, judged.toolpath, judged.trajectory
     now, found = print_times(toolpath, t), []
     for cell, rows in judged.stretches:
-        slack = slack_along(problem, toolpath, t, problem.cell.nozzle_named(cell.nozzle_name))[rows]
-        there = judged.body.tree, packed(cell.head), judged.motion.rows(rows), now[rows], slack
+        room = room_along(problem, toolpath, t, problem.cell.nozzle_named(cell.nozzle_name))
+        own = TipRoom(room.slack[rows], room.graze[rows])
+        there = judged.body.tree, packed(cell.head), judged.motion.rows(rows), now[rows], own
         near = look(*there, problem.collision.nozzle, _look(toolpath))
         found.append(replace(near, at=near.at + rows.start))
     least = min(found, key=attrgetter("least"))
@@ -522,12 +535,14 @@ def check_nozzle(judged: Judged, near: tuple[Nearness, Nearness]) -> Check:
 
 def asked_at(judged: Judged, rule: Nearness) -> float:
     """The distance [m] that the rule for the tip asks for at the place where least of it is to spare."""
-    need = judged.problem.collision.nozzle
+    need, tree = judged.problem.collision.nozzle, judged.body.tree
     if rule.point < 0:
         return need
     nozzle = judged.problem.cell.nozzle_named(judged.cell_at(rule.at).nozzle_name)
-    slack = slack_along(judged.problem, judged.toolpath, judged.trajectory, nozzle)[rule.at]
-    return float(min(need, TIP_SLOPE * _away(judged, rule) - slack))
+    room = room_along(judged.problem, judged.toolpath, judged.trajectory, nozzle)
+    asked = float(min(need, TIP_SLOPE * _away(judged, rule) - room.slack[rule.at]))
+    still, graze = tree.time[rule.point] == FROM_THE_START, float(room.graze[rule.at])
+    return -graze if still and asked < -graze - tree.radius[rule.point] else asked
 
 
 def _away(judged: Judged, near: Nearness) -> float:
