@@ -84,7 +84,9 @@ RESULTS_BY = "solve"  # whose files they are, in manifests
 REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
 AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
 BOUNDS = ("bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction")  # that planning finds of its own motion
-MOST_COMPARED = 5_000  # beads: to time another strategy's, and to travel between them, takes some 10 ms each
+# Beyond so many no other plan is made beside: beads, to time and to travel between which takes some 10 ms each; waypoints, of
+# which a second plan takes as much memory as the first, gigabytes.
+MOST_COMPARED_BEADS, MOST_COMPARED = 5_000, 800_000
 WORTH_A_FORK = 5_000  # waypoints from which work that stands alone (baseline, programs) is worth a copy of the process
 WORTH_HALVES = 40_000  # waypoints from which half of a stage is worth one: most stages use all cores by threads anyway
 
@@ -179,9 +181,13 @@ def solve(
         given = replace(given, draft=draft)
         check_cones(problem, cell, given.tasks)
     compared = baseline and not draft and strategy != BASELINE
-    if compared and len(toolpath.beads) > MOST_COMPARED:
-        compared = False
-        stages.tell(f"more than {MOST_COMPARED:,} beads: not compared with {BASELINE}")
+    for count, most, what in (
+        (work.beads, MOST_COMPARED_BEADS, "beads"),
+        (work.waypoints, MOST_COMPARED, "waypoints"),
+    ):
+        if compared and count > most:
+            compared = False
+            stages.tell(f"more than {most:,} {what}: not compared with {BASELINE}")
     late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
     with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
         shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
