@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -280,8 +281,8 @@ def test_a_reader_that_is_killed_tells_nothing_about_its_file(tmp_path: Path, mo
     path = tmp_path / "part.step"
     path.write_bytes(b"ISO-10303-21;\nEND-ISO-10303-21;\n")
     part = StepSpec.model_construct(file=path, normals="outward", origin=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0))
-    done = SimpleNamespace(returncode=-signal.SIGKILL, stdout=b"")
-    monkeypatch.setattr(subprocess, "run", lambda *_, **__: done)
+    done = SimpleNamespace(returncode=-signal.SIGKILL, communicate=lambda timeout: (b"", None), kill=lambda: None)
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: nullcontext(done))
     with pytest.raises(InputError, match=r"part\.step cannot be read: .* no memory left"):
         asked("any", {}, "part.step", complain)
     for found in (_nurbs_file(path), meshed_faces(part, "all")):

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +25,7 @@ from planner.problem.part import StepSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.verify.reread.plane_curves import NotRead
-from planner.verify.reread.step_faces import TURNED, meshed_faces
+from planner.verify.reread.step_faces import TURNED, meshed_faces, read_ahead
 from tests.test_reread import BASE, failed, found
 from tests.test_reread_bodies import FILLED, INSIDE, NORMAL, PART
 from tests.test_step import written
@@ -94,6 +96,28 @@ def test_normals_between_corners_are_those_of_the_face(tmp_path: Path, heights: 
     assert np.repeat(np.abs(mesh.bends).max(axis=1), 20).max() == pytest.approx(np.abs(bend).max(), rel=0.05)
     least, most = (np.repeat(mesh.bends[:, k], 20) for k in range(2))
     assert (side * bend > least - 2.0).all() and (side * bend < most + 2.0).all()  # 1/m: an end's, not the middle's
+
+
+@pytest.mark.slow
+def test_what_is_read_ahead_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    given = {"normals": "outward", "origin": (0.0, 0.0, 0.0), "rpy": (0.0, 0.0, 0.0)}
+    part = StepSpec.model_construct(file=written(tmp_path, s_sheet(BENDS_ONCE)), **given)
+    begun: list[object] = []
+    popen = subprocess.Popen
+
+    def counted(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        begun.append(arguments)
+        return popen(*arguments, **options)
+
+    monkeypatch.setattr(subprocess, "Popen", counted)
+    with read_ahead(part, "all"):
+        mesh = meshed_faces(part, "all")
+    assert not isinstance(mesh, NotRead)
+    with read_ahead(part, "all"):
+        assert meshed_faces(part, "all") is mesh
+    assert len(begun) == 1
+    with read_ahead(StepSpec.model_construct(file=tmp_path / "none.step", **given), "all"):
+        assert len(begun) == 1
 
 
 @pytest.mark.slow

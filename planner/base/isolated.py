@@ -1,7 +1,7 @@
 """Questions to a process of its own: what answers them may end at any place, without a word, as readers of damaged files do.
 
 A question is JSON on standard input, its answer arrays as NPZ on standard output. The one who asks calls `ask`, the module
-that is asked ends with `sys.exit(answer(function))`.
+that is asked ends with `sys.exit(answer(function))`. What is long to answer can be asked ahead: `asked_ahead`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,26 +32,71 @@ class Killed(Exception):
         super().__init__("what reads it was ended by the system, as where there is no memory left")
 
 
+class _Begun(NamedTuple):
+    """A process that answers a question, and the one that asks."""
+
+    process: subprocess.Popen[bytes]
+    asks: int
+
+
+# What is asked ahead and not fetched yet. A fork of this process has a copy, and asks anew: one of them alone can fetch it.
+_ahead: dict[str, _Begun] = {}
+
+
 def ask(module: str, question: Mapping[str, Any], longest: float) -> dict[str, Any] | None:
     """What a module answers to a question, as arrays by their names; None where its process ends without an answer.
 
     Raises subprocess.TimeoutExpired after `longest` [s], and Killed. The process ends with this one, however that ends.
     """
-    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    done = subprocess.run(
-        [sys.executable, "-m", module],
-        input=json.dumps({**question, "parent": os.getpid()}).encode(),
-        capture_output=True,
-        timeout=longest,
-        env={**os.environ, "PYTHONPATH": paths},
-        check=False,
-    )
-    if done.returncode < 0 and -done.returncode == signal.SIGKILL:
+    key = _key(module, question)
+    ours = key in _ahead and _ahead[key].asks == os.getpid()
+    with _ahead.pop(key).process if ours else _begin(module, question) as process:
+        try:
+            found, _ = process.communicate(timeout=longest)
+        finally:
+            process.kill()  # of one that has ended, nothing
+    if process.returncode == -signal.SIGKILL:
         raise Killed
-    if done.returncode != 0:
+    if process.returncode != 0:
         return None
-    with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+    with np.load(io.BytesIO(found), allow_pickle=False) as arrays:
         return dict(arrays)
+
+
+@contextmanager
+def asked_ahead(module: str, question: Mapping[str, Any]) -> Iterator[None]:
+    """Have a question answered beside the block: the first that asks it there has the answer the sooner."""
+    key = _key(module, question)
+    if key in _ahead:
+        yield
+        return
+    begun = _ahead[key] = _Begun(_begin(module, question), os.getpid())
+    try:
+        yield
+    finally:
+        if _ahead.get(key) is begun:
+            del _ahead[key]
+            with begun.process:
+                begun.process.kill()
+
+
+def _key(module: str, question: Mapping[str, Any]) -> str:
+    return json.dumps([module, question], sort_keys=True)
+
+
+def _begin(module: str, question: Mapping[str, Any]) -> subprocess.Popen[bytes]:
+    """A process that was asked a question."""
+    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    with TemporaryFile() as asked:
+        asked.write(json.dumps({**question, "parent": os.getpid()}).encode())
+        asked.seek(0)
+        return subprocess.Popen(
+            [sys.executable, "-m", module],
+            stdin=asked,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": paths},
+        )
 
 
 def answer(function: Callable[[dict[str, Any]], Mapping[str, Any]]) -> int:

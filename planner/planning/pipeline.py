@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from itertools import chain
@@ -77,6 +77,7 @@ from planner.toolpath.workload import Workload
 from planner.verify.as_run import ASKED, as_run
 from planner.verify.collision import check_start
 from planner.verify.drawing import cell_view
+from planner.verify.reread.faces import faces_ahead
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
@@ -160,100 +161,101 @@ def solve(
     terms = as_list(terms, "terms", "terms")
     own = _own(terms, strategy, over)
     stages = stages or Stages()
-    with stages.stage("load"):
-        cell = build_cell(problem)
-        check_languages(problem, cell)
-        check_start(problem, cell)
-    with stages.stage("toolpath"):
-        toolpath = build_toolpath(problem)
-        if not problem.process.split_beads:
-            corrections_of(problem, toolpath)
-    work = Workload.of(toolpath)
-    resting = resting_time(problem.process, toolpath)
-    expected = estimate(work, mean_speed(problem.process, toolpath), dt, resting)
-    check_memory(problem, work, expected)
-    if expected.seconds >= TOLD_FROM:
-        stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")
-    with stages.stage("obstacles"):
-        pieces = problem.process.split_beads  # which are counted once it is known whether there are any
-        begin = 0 if pieces else _within(_above_what_is_printed(problem, toolpath, first_bead), toolpath)
-        given = context_of(problem, cell, toolpath, begin, own)
-        given = replace(given, draft=draft)
-        check_cones(problem, cell, given.tasks)
-    compared = baseline and not draft and strategy != BASELINE
-    for count, most, what in (
-        (work.beads, MOST_COMPARED_BEADS, "beads"),
-        (work.waypoints, MOST_COMPARED, "waypoints"),
-    ):
-        if compared and count > most:
-            compared = False
-            stages.tell(f"more than {most:,} {what}: not compared with {BASELINE}")
-    late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
-    with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
-        shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
+    with faces_ahead(problem) if second_process and spare_core() else nullcontext():
+        with stages.stage("load"):
+            cell = build_cell(problem)
+            check_languages(problem, cell)
+            check_start(problem, cell)
+        with stages.stage("toolpath"):
+            toolpath = build_toolpath(problem)
+            if not problem.process.split_beads:
+                corrections_of(problem, toolpath)
+        work = Workload.of(toolpath)
+        resting = resting_time(problem.process, toolpath)
+        expected = estimate(work, mean_speed(problem.process, toolpath), dt, resting)
+        check_memory(problem, work, expected)
+        if expected.seconds >= TOLD_FROM:
+            stages.tell(f"{work.waypoints:,} waypoints in {work.beads:,} beads: {expected.words}")
+        with stages.stage("obstacles"):
+            pieces = problem.process.split_beads  # which are counted once it is known whether there are any
+            begin = 0 if pieces else _within(_above_what_is_printed(problem, toolpath, first_bead), toolpath)
+            given = context_of(problem, cell, toolpath, begin, own)
+            given = replace(given, draft=draft)
+            check_cones(problem, cell, given.tasks)
+        compared = baseline and not draft and strategy != BASELINE
+        for count, most, what in (
+            (work.beads, MOST_COMPARED_BEADS, "beads"),
+            (work.waypoints, MOST_COMPARED, "waypoints"),
+        ):
+            if compared and count > most:
+                compared = False
+                stages.tell(f"more than {most:,} {what}: not compared with {BASELINE}")
+        late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
+        with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
+            shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
 
-        def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
-            if pieces:
-                return _planned_in_pieces(strategy, given, dt, stages, shared)
-            return _planned(strategy, given, dt, stages, shared, over)
+            def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
+                if pieces:
+                    return _planned_in_pieces(strategy, given, dt, stages, shared)
+                return _planned(strategy, given, dt, stages, shared, over)
 
-        try:
-            if toolpath.beads[0].round:
-                check_upright(given)
-            whole_print = replace(given, first_bead=given.printed)
-            found, nearer = _as_can_be(strategy, whole_print, print_of, stages, over)
-            begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
-            if begin != found[0].first_bead:
-                found = _rest_of(strategy, found, begin, dt, stages, shared)
-        except Refusal as refused:
-            refusal = _by_what_stands_there(given, refused)
-            again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
-            best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
-            elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
-            refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
-            raise refusal from None
-        given, planned, maps = found
-        problem, toolpath = given.problem, given.toolpath
-        if nearer is not None:
-            toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
-        trajectory, report, rest = planned.trajectory, planned.report, planned.paths[given.laid]
-        with stages.stage("dips"):
-            dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
-            metrics = report.metrics | _distance(given, report)
-            whole = given.first_bead == 0 and strategy == DEFAULT and baseline and not draft
-            advice = advise(given, planned.paths, trajectory, dips) if whole else ()
-        with stages.stage("baseline"):
-            of_baseline = _baseline(given, dt) if compared and late else baseline_metrics()
-    judged = None
-    if tolerance is not None:
-        with stages.stage("tolerance"):
-            judged = _robustness(
-                tolerance, strategy, problem, cell, toolpath, rest, planned.travels, report, dt, second_process
-            )
-    plan = Plan(
-        problem=problem,
-        cell=cell,
-        toolpath=toolpath,
-        strategy=strategy,
-        resolved_by=planned.by,
-        trajectory=trajectory,
-        checks=report.checks,
-        metrics=metrics,
-        series=report.series,
-        timing_s=dict(stages.seconds),
-        versions=versions(),
-        baseline=of_baseline,
-        settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
-        dips=dips,
-        advice=advice,
-        approaches=report.approaches,
-        view=cell_view(cell),
-        headroom=judged,
-        paths=tuple(rest),
-        roll_maps=maps,
-        nearer=nearer,
-    )
-    return sealed(with_asked(plan, stages, given.body))
+            try:
+                if toolpath.beads[0].round:
+                    check_upright(given)
+                whole_print = replace(given, first_bead=given.printed)
+                found, nearer = _as_can_be(strategy, whole_print, print_of, stages, over)
+                begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
+                if begin != found[0].first_bead:
+                    found = _rest_of(strategy, found, begin, dt, stages, shared)
+            except Refusal as refused:
+                refusal = _by_what_stands_there(given, refused)
+                again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
+                best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
+                elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
+                refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
+                raise refusal from None
+            given, planned, maps = found
+            problem, toolpath = given.problem, given.toolpath
+            if nearer is not None:
+                toolpath = replace(toolpath, notes=(*toolpath.notes, nearer.words))
+            trajectory, report, rest = planned.trajectory, planned.report, planned.paths[given.laid]
+            with stages.stage("dips"):
+                dips = find_dips(problem, cell, toolpath, planned.paths, trajectory)
+                metrics = report.metrics | _distance(given, report)
+                whole = given.first_bead == 0 and strategy == DEFAULT and baseline and not draft
+                advice = advise(given, planned.paths, trajectory, dips) if whole else ()
+            with stages.stage("baseline"):
+                of_baseline = _baseline(given, dt) if compared and late else baseline_metrics()
+        judged = None
+        if tolerance is not None:
+            with stages.stage("tolerance"):
+                judged = _robustness(
+                    tolerance, strategy, problem, cell, toolpath, rest, planned.travels, report, dt, second_process
+                )
+        plan = Plan(
+            problem=problem,
+            cell=cell,
+            toolpath=toolpath,
+            strategy=strategy,
+            resolved_by=planned.by,
+            trajectory=trajectory,
+            checks=report.checks,
+            metrics=metrics,
+            series=report.series,
+            timing_s=dict(stages.seconds),
+            versions=versions(),
+            baseline=of_baseline,
+            settings={"dt": dt, "overrides": list(problem.overrides)} | _names_of(terms),
+            dips=dips,
+            advice=advice,
+            approaches=report.approaches,
+            view=cell_view(cell),
+            headroom=judged,
+            paths=tuple(rest),
+            roll_maps=maps,
+            nearer=nearer,
+        )
+        return sealed(with_asked(plan, stages, given.body))
 
 
 def _by_what_stands_there(given: PlanningContext, refusal: Refusal) -> Refusal:

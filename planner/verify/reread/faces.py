@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 
 from planner.base.arrays import Array, Ints
 from planner.plan import Check
+from planner.problem import Problem
 from planner.problem.drawings import ProjectedLayersSpec
 from planner.problem.layers import FaceLayersSpec
+from planner.problem.part import StepSpec
 from planner.verify.checks import Judged
 from planner.verify.reread.places import (
     AXIS,
@@ -26,7 +29,7 @@ from planner.verify.reread.places import (
     worst_of,
 )
 from planner.verify.reread.plane_curves import NotRead
-from planner.verify.reread.step_faces import OFF, TURNED, MeshedFaces, meshed_faces
+from planner.verify.reread.step_faces import OFF, TURNED, MeshedFaces, meshed_faces, read_ahead
 
 _MOST = 20_000  # places of the print at which the nearest place of the faces is looked for
 _SMOOTH = 2e-5  # m that beads that are projected may lie off faces: a smooth surface crosses their seams
@@ -37,6 +40,19 @@ _NEAR = {"rows": 0.75}  # distances of lines from one: half of it is as far as r
 _THROUGH_SAMPLES = 1.4  # may leave a strip at an edge
 
 
+def faces_ahead(problem: Problem) -> AbstractContextManager[None]:
+    """Has the faces that a print lies on read beside the block, for the checks in it; nothing for another print."""
+    layers, part = problem.layers, problem.part
+    if part is None or part.step is None or not isinstance(layers, (FaceLayersSpec, ProjectedLayersSpec)):
+        return nullcontext()
+    return read_ahead(part.step, _lain_on(layers, part.step))
+
+
+def _lain_on(layers: FaceLayersSpec | ProjectedLayersSpec, step: StepSpec) -> Sequence[int | str] | str:
+    """The faces of a file that layers lie on."""
+    return layers.source.faces if isinstance(layers, FaceLayersSpec) else step.faces
+
+
 def faces(judged: Judged, places: Places) -> Iterator[Check]:
     """All checks of a print on faces; none of another one."""
     layers, part = judged.problem.layers, judged.problem.part
@@ -44,7 +60,7 @@ def faces(judged: Judged, places: Places) -> Iterator[Check]:
         return
     covering = isinstance(layers, FaceLayersSpec)
     try:
-        found = meshed_faces(part.step, layers.source.faces if covering else part.step.faces)  # type: ignore[union-attr]
+        found = meshed_faces(part.step, _lain_on(layers, part.step))
     except OSError as error:
         yield not_read(f"{part.step.file.name}: {error.strerror}")
         return

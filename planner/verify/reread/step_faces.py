@@ -6,15 +6,16 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import lru_cache
+from typing import Any, NamedTuple
 
 import coal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array, Ints
-from planner.base.isolated import Killed, ask
+from planner.base.isolated import Killed, ask, asked_ahead
 from planner.problem.part import StepSpec
 from planner.verify.bodies import triangle_model
 from planner.verify.reread.plane_curves import NotRead
@@ -24,6 +25,7 @@ TURNED = np.radians(0.1)  # by which normals between corners of triangles may be
 _HALF = 0.5  # of it are normals off halfway between corners: in between they may be off by more
 _PROCESS = "planner.verify.reread.step_process"
 _LONGEST = 300  # s that a file may take
+_MOST_KNOWN = 2  # files whose faces are kept
 _MARK = 72  # column, from 0, of the S in an IGES file's first line
 _POINT = 1e-9  # m, radius of a ball that stands for a point
 
@@ -104,32 +106,67 @@ def _middles(count: int) -> Array:
     return np.column_stack([uv, 1.0 - uv.sum(axis=1)])
 
 
+class _Wanted(NamedTuple):
+    """Faces of a file; when it was changed, and its size, tell it from another one of its name."""
+
+    spec: StepSpec
+    faces: tuple[int | str, ...] | str
+    changed: int
+    size: int
+
+    @classmethod
+    def of(cls, spec: StepSpec, faces: Sequence[int | str] | str) -> _Wanted:
+        """Raises OSError for a file that is not there."""
+        stamp = spec.file.stat()
+        return cls(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
+
+    @property
+    def question(self) -> dict[str, Any]:
+        """What the process is asked. Raises OSError."""
+        head = self.spec.file.read_bytes()[: _MARK + 8]
+        return {
+            "file": str(self.spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
+            "faces": self.faces, "off_mm": OFF * 1e3, "turned": _HALF * TURNED,
+        }  # fmt: skip
+
+
+_known: dict[_Wanted, MeshedFaces | NotRead] = {}  # what was read last
+
+
 def meshed_faces(spec: StepSpec, faces: Sequence[int | str] | str) -> MeshedFaces | NotRead:
     """Faces of a file by their names and numbers, as triangles. Raises OSError for a file that is not there."""
-    stamp = spec.file.stat()
-    try:
-        return _meshed(spec, faces if isinstance(faces, str) else tuple(faces), stamp.st_mtime_ns, stamp.st_size)
-    except Killed as killed:
-        return NotRead(str(killed))
+    wanted = _Wanted.of(spec, faces)
+    if wanted not in _known:
+        try:
+            found = _meshed(wanted)
+        except Killed as killed:
+            return NotRead(str(killed))
+        for old in list(_known)[: 1 - _MOST_KNOWN]:
+            del _known[old]
+        _known[wanted] = found
+    return _known[wanted]
 
 
-@lru_cache(maxsize=2)
-def _meshed(spec: StepSpec, faces: tuple[int | str, ...] | str, changed: int, size: int) -> MeshedFaces | NotRead:
-    """The same; `changed` and `size` tell one file from another."""
-    head = spec.file.read_bytes()[: _MARK + 8]
-    request = {
-        "file": str(spec.file.resolve()), "iges": head[_MARK : _MARK + 1] == b"S" and b"ISO-10303" not in head,
-        "faces": faces, "off_mm": OFF * 1e3, "turned": _HALF * TURNED,
-    }  # fmt: skip
+def read_ahead(spec: StepSpec, faces: Sequence[int | str] | str) -> AbstractContextManager[None]:
+    """Has faces read beside the block, in which `meshed_faces` finds them the sooner; those that are known are not read."""
     try:
-        answer = ask(_PROCESS, request, _LONGEST)
+        wanted = _Wanted.of(spec, faces)
+        return nullcontext() if wanted in _known else asked_ahead(_PROCESS, wanted.question)
+    except OSError:  # told when they are asked for
+        return nullcontext()
+
+
+def _meshed(wanted: _Wanted) -> MeshedFaces | NotRead:
+    """The faces. Raises OSError, and Killed."""
+    try:
+        answer = ask(_PROCESS, wanted.question, _LONGEST)
     except subprocess.TimeoutExpired:
         return NotRead(f"it takes more than {_LONGEST} s")
     if answer is None:
         return NotRead("Open CASCADE ends while it reads or meshes the file")
     if "reason" in answer or not int(answer["faces"]):
         return NotRead(str(answer.get("reason", "it holds no such face")))
-    return _placed(spec, answer)
+    return _placed(wanted.spec, answer)
 
 
 def _placed(spec: StepSpec, answer: dict[str, Array]) -> MeshedFaces:
