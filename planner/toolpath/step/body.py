@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Ints, ReadOnlyArrays, read_only
 from planner.base.compiled import inner_njit, njit
+from planner.base.processes import in_blocks
 from planner.toolpath.step.files import Face
 from planner.toolpath.step.splines import SplineArrays, SplineSet, fill_normal, foot_of
 
@@ -208,7 +209,7 @@ class SampleArrays(NamedTuple):
     points: Array
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def signed(
     points: Array,
     near: Ints,
@@ -303,6 +304,7 @@ def signed(
 _COARSEST, _FINEST, _SHARE = 5e-3, 1e-3, 0.01  # m between samples of a face, as a share of its size
 _MOST_ACROSS = 400  # samples of a face along u or v
 _CANDIDATES = 8  # samples near a point whose faces are looked at
+_AT_ONCE = 8192  # points whose nearest places one thread looks for
 
 
 @dataclass(frozen=True)
@@ -468,11 +470,18 @@ class FaceBody:
         return self._nearest(points)[1]
 
     def _nearest(self, points: Array) -> tuple[Array, Array]:
-        _, near = self.tree.query(points, k=min(_CANDIDATES, self.tree.n))
-        near = np.ascontiguousarray(near.reshape(len(points), min(_CANDIDATES, self.tree.n)))
         samples = SampleArrays(self.sample_face, self.sample_uv, np.asarray(self.tree.data))
-        shell = np.inf if self.closed else self.shell
-        return signed(read_only(points), near, samples, self.splines.arrays, self.side, self.rims, shell)
+        splines, rims, shell = self.splines.arrays, self.rims, np.inf if self.closed else self.shell
+        count = min(_CANDIDATES, self.tree.n)
+        off, normals = np.empty(len(points)), np.empty((len(points), 3))
+
+        def look(at: slice) -> None:
+            some = read_only(points[at])
+            near = np.ascontiguousarray(self.tree.query(some, k=count)[1].reshape(len(some), count))
+            off[at], normals[at] = signed(some, near, samples, splines, self.side, rims, shell)
+
+        in_blocks(look, len(points), _AT_ONCE)
+        return off, normals
 
 
 def _to_segments(points: Array, a: Array, b: Array) -> Array:
