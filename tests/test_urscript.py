@@ -20,7 +20,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.base.shipped import ROBOTS
 from planner.cell.cell import build_cell
-from planner.cell.robot import chain_of, read_robot
+from planner.cell.robot import Robot, chain_of, read_robot
 from planner.export import urscript as language
 from planner.export.languages import LANGUAGES, chosen
 from planner.export.support import unsupported_in_urscript
@@ -105,9 +105,40 @@ def test_the_controllers_base_is_the_makers(key: str) -> None:
     T_world_base = np.eye(4)
     T_world_base[:3, 3] = 0.1, -0.2, 0.3
     chain = chain_of(robot, T_world_base, np.eye(4), robot.joint_names, {})
-    T = world_controller(SimpleNamespace(arm=chain, T_world_base=T_world_base))  # type: ignore[arg-type]
+    T = world_controller(SimpleNamespace(arm=chain, T_world_base=T_world_base, arm_robot=robot))  # type: ignore[arg-type]
     for q in np.random.default_rng(2).uniform(-3.0, 3.0, (10, 6)):
         np.testing.assert_allclose(T @ controller(key, q), chain.poses(q[None])[0], atol=1e-9)
+
+
+def on_a_ceiling(folder: Path, roll: float = np.pi / 2) -> Robot:
+    """A UR5e whose URDF begins with the room that it hangs in; roll: by how much axis 2 is turned against axis 1 [rad]."""
+    text = (ROBOTS / "ur5e.urdf").read_text(encoding="utf-8")
+    hung = '<joint name="hung" type="fixed"><parent link="room"/><child link="base_link"/>'
+    hung += f'<origin xyz="0.2 -0.3 2.5" rpy="{np.pi} 0 0.5"/></joint>'
+    text = text.replace("</robot>", f'<link name="room"/>{hung}</robot>')
+    text = text.replace('rpy="1.5707963267948966 0 0"/><axis', f'rpy="{roll} 0 0"/><axis', 1)
+    (folder / "ur5e.urdf").write_text(text, encoding="utf-8")
+    (folder / "ur5e.yaml").write_text((ROBOTS / "ur5e.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    return read_robot(folder / "ur5e.yaml")
+
+
+def test_what_a_urdf_has_beneath_the_base_is_not_the_controllers(tmp_path: Path) -> None:
+    robot = on_a_ceiling(tmp_path)
+    chain = chain_of(robot, np.eye(4), np.eye(4), robot.joint_names, {})
+    T = world_controller(SimpleNamespace(arm=chain, T_world_base=np.eye(4), arm_robot=robot))  # type: ignore[arg-type]
+    for q in np.random.default_rng(2).uniform(-3.0, 3.0, (10, 6)):
+        np.testing.assert_allclose(T @ controller("ur5e", q), chain.poses(q[None])[0], atol=1e-9)
+
+
+def test_axes_of_a_measured_arm_do_not_tilt_the_controllers_base(tmp_path: Path) -> None:
+    made = []
+    for roll in (np.pi / 2, np.pi / 2 + 2e-3):
+        robot = on_a_ceiling(tmp_path, roll)
+        chain = chain_of(robot, np.eye(4), np.eye(4), robot.joint_names, {})
+        made.append(
+            world_controller(SimpleNamespace(arm=chain, T_world_base=np.eye(4), arm_robot=robot))  # type: ignore[arg-type]
+        )
+    np.testing.assert_allclose(made[1], made[0], atol=1e-12)
 
 
 def test_targets_are_where_the_plan_has_the_nozzle() -> None:

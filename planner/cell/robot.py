@@ -24,7 +24,7 @@ from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body, Look
-from planner.cell.urdf import Urdf, link_frame, model_of, moving_joints, names_of, read_urdf, sliding_joints
+from planner.cell.urdf import Urdf, link_frame, model_of, moving_joints, names_of, read_urdf, sliding_joints, stand_of
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
@@ -39,6 +39,7 @@ class Robot:
     """One robot as its files describe it: a Pinocchio model of the joints from base to tip, its tip frame, and what
     a URDF cannot say; no inverse kinematics if it is not an arm.
 
+    stand    link in which the first joint turns: of an arm its own base, whatever that stands on in the URDF
     language what its controller is programmed in: one of LANGUAGE_NAMES
     bodies   one tuple for each joint index of the model (0: what does not move), in the joint's frame; all empty if
              the URDF has no collision shapes
@@ -51,6 +52,7 @@ class Robot:
     name: str
     model: pin.Model
     tip: str
+    stand: str
     acceleration: Array
     jerk: Array
     inverse: InverseKinematics | None
@@ -75,6 +77,11 @@ class Robot:
     def slides(self) -> tuple[bool, ...]:
         """Of each joint whether it slides: its places are metres."""
         return tuple(not joint_axis(self.model, i)[:3].any() for i in range(1, self.model.njoints))
+
+    @property
+    def T_base_stand(self) -> Array:
+        """Where `stand` is (4, 4), seen from the base; of an arm on what may move, from the joint that carries it."""
+        return np.asarray(self.model.frames[link_frame(self.model, self.stand)].placement.homogeneous)
 
 
 def robot_names(folder: Path = ROBOTS) -> list[str]:
@@ -144,6 +151,7 @@ def read_robot(path: Path) -> Robot:
         looks=read_looks(urdf, model, rules),
         measured=file.text("measured") if "measured" in file.data else "",
         controller=file.controller(),
+        stand=stand_of(urdf, file.text("tip")),
     )
 
 

@@ -163,6 +163,11 @@ def moved_by(urdf: Urdf, link: str) -> str:
     return next(reversed(names_of(moving_joints(urdf, link))), "")
 
 
+def stand_of(urdf: Urdf, tip: str) -> str:
+    """Name of the link in which the first joint that moves on the way to another one turns, or slides."""
+    return _end(moving_joints(urdf, tip)[0], "parent")
+
+
 def sliding_joints(urdf: Urdf, tip: str) -> list[str]:
     """Names of those that slide."""
     return names_of(joint for joint in moving_joints(urdf, tip) if joint.get("type") == "prismatic")

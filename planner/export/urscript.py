@@ -45,17 +45,27 @@ if TYPE_CHECKING:
 # The controller's base frame, and rotation vectors.
 
 
+MEASURED = 0.02  # rad by which axes of an arm that was measured are off, at most
+
+
 def world_controller(cell: Cell) -> Array:
     """T_world_controller (4, 4): z along joint 1, y against joint 2's axis at zero, as the maker's DH table has it.
 
-    URDF files differ: ROS's base_link is turned by half a turn against the controller's base. Both have one origin.
+    URDF files differ: ROS's base_link is turned by half a turn against the controller's base. The origin is that of the link in
+    which joint 1 turns, whatever this stands on in the URDF. The axes of a measured arm are a little off: a frame that is nearly
+    that link's own, turned by quarters of a turn, is just that.
     """
+    stand = cell.T_world_base @ cell.arm_robot.T_base_stand
     first, second = cell.arm.placements[0], cell.arm.placements[0] @ cell.arm.placements[1]
     z = first[:3, :3] @ cell.arm.axes[0, :3]
     y = -second[:3, :3] @ cell.arm.axes[1, :3]
+    y = y - (y @ z) * z
+    y = y / np.linalg.norm(y)
+    turn = stand[:3, :3].T @ np.column_stack([np.cross(y, z), y, z])
+    quarters = np.round(turn)
     T = np.eye(4)
-    T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
-    T[:3, 3] = cell.T_world_base[:3, 3]
+    T[:3, :3] = stand[:3, :3] @ (quarters if np.abs(turn - quarters).max() < MEASURED else turn)
+    T[:3, 3] = stand[:3, 3]
     return T
 
 
