@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from simulate_fixtures import program_at
 
 from planner.base.arrays import Array
@@ -26,8 +27,10 @@ SMALL = ("resolve.rung_mm=10", "resolve.roll_step_deg=30")
 OF = {"KUKA": "krl", "Fanuc": "fanuc", "Yaskawa": "inform", "Stäubli": "val3", "ABB": "rapid"}
 
 
-def cell_of(name: str, folder: Path, *overrides: str) -> Cell:
-    (folder / "arm.urdf").write_text(urdf_of(ARMS[name]), encoding="utf-8")
+def cell_of(name: str, folder: Path, *overrides: str, beneath: str = "") -> Cell:
+    """A cell with a public arm; beneath: what its URDF has besides, as the last elements of the file."""
+    text = urdf_of(ARMS[name]).replace("</robot>", f"{beneath}</robot>")
+    (folder / "arm.urdf").write_text(text, encoding="utf-8")
     (folder / "arm.yaml").write_text(TEXT.format(name="arm") + f"language: {OF[name.split()[0]]}\n", encoding="utf-8")
     middle = np.degrees(np.radians([0.5 * (low + high) for low, high in ARMS[name].ranges])).round(1).tolist()
     return build_cell(
@@ -88,6 +91,21 @@ def test_public_urdfs_count_as_their_makers(name: str, tmp_path: Path) -> None:
     """What URDFs of ROS-Industrial have as joints are the makers' own axes: two ways to the same numbers."""
     q = np.random.default_rng(2).uniform(-1, 1, (20, 6))
     np.testing.assert_allclose(axes_of(name, cell_of(name, tmp_path), q), q, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["KUKA KR 6 R700 sixx", "Yaskawa GP25"])
+def test_an_arm_that_hangs_in_its_urdf_is_counted_from_its_own_base(name: str, tmp_path: Path) -> None:
+    """A URDF that begins with the room: there axis 1 points down, for the controller it is as of an arm that stands."""
+    room = '<link name="room"/><joint name="hung" type="fixed"><parent link="room"/><child link="base_link"/>'
+    room += f'<origin xyz="0.2 -0.3 2.5" rpy="{np.pi} 0 0.5"/></joint>'
+    cell, standing = cell_of(name, tmp_path, beneath=room), cell_of(name, tmp_path)
+    q = np.random.default_rng(2).uniform(-1, 1, (20, 6))
+    np.testing.assert_allclose(axes_of(name, cell, q), q, rtol=0, atol=1e-12)
+    T_room_base = np.eye(4)
+    T_room_base[:3, :3] = Rotation.from_euler("xyz", [np.pi, 0.0, 0.5]).as_matrix()
+    T_room_base[:3, 3] = 0.2, -0.3, 2.5
+    expected = T_room_base @ standing.as_counted.T_world_base
+    np.testing.assert_allclose(cell.as_counted.T_world_base, expected, rtol=0, atol=1e-9)
 
 
 def test_of_fanuc_the_third_axis_is_coupled_to_the_second(tmp_path: Path) -> None:

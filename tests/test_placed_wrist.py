@@ -108,6 +108,13 @@ def test_the_flange_may_leave_along_any_axis_of_its_frame() -> None:
     np.testing.assert_allclose(np.abs(read.T_end_flange[:3, 0]), [0, 0, 1], atol=1e-12)
 
 
+def test_a_base_that_was_drawn_lying_is_upright_where_its_urdf_has_it_so() -> None:
+    chain, lying = chain_from(ARMS["KUKA KR 6 R700 sixx"]), np.eye(4)
+    lying[:3, :3] = pin.rpy.rpyToMatrix(np.pi / 2, 0.0, 0.0)
+    upright = read_spherical_wrist(chain).parameters
+    np.testing.assert_allclose(read_spherical_wrist(chain, lying).parameters, upright, rtol=0, atol=1e-12)
+
+
 # --- whatever zero, senses and frames ---------------------------------------------------------------------------
 
 

@@ -81,7 +81,7 @@ class Robot:
     @property
     def T_base_stand(self) -> Array:
         """Where `stand` is (4, 4), seen from the base; of an arm on what may move, from the joint that carries it."""
-        return np.asarray(self.model.frames[link_frame(self.model, self.stand)].placement.homogeneous)
+        return _placement(self.model, self.stand)
 
 
 def robot_names(folder: Path = ROBOTS) -> list[str]:
@@ -135,6 +135,7 @@ def read_robot(path: Path) -> Robot:
     file = read_robot_file(path)
     urdf = read_urdf(file.urdf())
     model = _model(file, urdf)
+    stand = stand_of(urdf, file.text("tip"))
     n = model.njoints - 1
     rules = _body_rules(file, urdf)
     return Robot(
@@ -144,14 +145,14 @@ def read_robot(path: Path) -> Robot:
         tip=file.text("tip"),
         acceleration=file.numbers("acceleration_rad_s2", n),
         jerk=file.numbers("jerk_rad_s3", n),
-        inverse=_inverse(file, model),
+        inverse=_inverse(file, model, stand),
         assumed=file.texts("assumed"),
         language=_language(file),
         bodies=read_bodies(urdf, model, rules),
         looks=read_looks(urdf, model, rules),
         measured=file.text("measured") if "measured" in file.data else "",
         controller=file.controller(),
-        stand=stand_of(urdf, file.text("tip")),
+        stand=stand,
     )
 
 
@@ -186,8 +187,9 @@ def _model(file: RobotFile, urdf: Urdf) -> pin.Model:
     return model
 
 
-def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
-    """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind."""
+def _inverse(file: RobotFile, model: pin.Model, stand: str) -> InverseKinematics | None:
+    """The closed form that the file names, held to the URDF; corrected where an arm is nearly of its kind. stand: as of a
+    `Robot`."""
     data = file.data
     given = [key for key in _INVERSE if key in data]
     if not given:
@@ -199,7 +201,8 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
         hint = "a rail has a file of its own, and carries the arm: cell.base of the problem file"
         raise file.error(field, f"joint {slides[0]} slides, and those of an arm turn", hint)
     chain = base_to_tip(model, data["tip"])
-    inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain)
+    T_base_stand = _placement(model, stand)
+    inverse = _spherical(file, chain) if field == "spherical_wrist" else _read_off(file, chain, T_base_stand)
     q = np.random.default_rng(1).uniform(-np.pi, np.pi, (_POSTURES, len(chain)))
     seen, own = chain.poses(q), inverse.poses(q)
     apart = np.abs(seen - own).max(axis=(1, 2))
@@ -208,7 +211,7 @@ def _inverse(file: RobotFile, model: pin.Model) -> InverseKinematics | None:
     if isinstance(inverse, PlacedWrist | OffsetWrist | SevenAxes):
         return Corrected(inverse, chain)
     if apart.max() <= _ROUNDED:
-        read = read_spherical_wrist(chain)  # which takes in a tip that is rounded
+        read = read_spherical_wrist(chain, T_base_stand)  # which takes in a tip that is rounded
         return read if np.abs(seen - read.poses(q)).max() <= _SAME_POSE else Corrected(read, chain)
     worst = int(np.argmax(apart))
     at, by = (np.round(T[worst, :3, 3] * 1e3, 3) for T in (seen, own))
@@ -230,7 +233,7 @@ def _spherical(file: RobotFile, chain: Chain) -> SphericalWrist:
     return SphericalWrist(*(float(lengths[key]) * 1e-3 for key in LENGTHS))
 
 
-def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | SkewWrist | SevenAxes:
+def _read_off(file: RobotFile, chain: Chain, T_base_stand: Array) -> PlacedWrist | OffsetWrist | SkewWrist | SevenAxes:
     kind = file.data["inverse_kinematics"]
     if kind not in KINDS:
         raise file.error("inverse_kinematics", f"unknown kind {kind!r}", f"known: {', '.join(KINDS)}")
@@ -244,11 +247,16 @@ def _read_off(file: RobotFile, chain: Chain) -> PlacedWrist | OffsetWrist | Skew
         if kind == "skew_wrist":
             return read_skew_wrist(chain)
         if kind == "spherical_wrist":
-            return read_spherical_wrist(chain)
+            return read_spherical_wrist(chain, T_base_stand)
         file.known("redundant_joint", "joint", redundant, chain.names)
         return read_seven_axes(chain, chain.names.index(str(redundant)), FAR)
     except OtherGeometry as error:
         raise file.error("inverse_kinematics", f"not an arm of the kind {kind}: {error}") from None
+
+
+def _placement(model: pin.Model, link: str) -> Array:
+    """Where a link is (4, 4) against what carries it: a joint, or the base."""
+    return np.asarray(model.frames[link_frame(model, link)].placement.homogeneous)
 
 
 def base_to_tip(model: pin.Model, tip: str) -> Chain:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -216,7 +216,7 @@ def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None, bool]:
                 if near == FAR:
                     lacking.append(f"seven_axes with {chain.names[joint]}: {error}")
     else:
-        kinds = (
+        kinds: tuple[tuple[str, Callable[[Chain], object]], ...] = (
             ("spherical_wrist", read_spherical_wrist),
             ("offset_wrist", read_offset_wrist),
             ("skew_wrist", read_skew_wrist),

@@ -109,8 +109,11 @@ class PlacedWrist(SixJoints):
 # 1, forearm forwards, and the rest nearest to the URDF's own zero.
 
 
-def read_spherical_wrist(chain: Chain) -> PlacedWrist:
-    """Read lengths, senses and offsets off a chain from base to flange; OtherGeometry if it is not of this kind."""
+def read_spherical_wrist(chain: Chain, T_base_stand: Array | None = None) -> PlacedWrist:
+    """Read lengths, senses and offsets off a chain from base to flange; OtherGeometry if it is not of this kind.
+
+    T_base_stand (4, 4): where the arm's own base is in that base, with which its foot is level; both are one if not given
+    """
     if len(chain) != 6:
         raise OtherGeometry(f"it has {len(chain)} joints, not 6")
     lines, T_base_flange = axes_at_zero(chain)
@@ -118,7 +121,7 @@ def read_spherical_wrist(chain: Chain) -> PlacedWrist:
         lines.square(i, j)
     lines.parallel(1, 2)
     wrist = _wrist_centre(lines)
-    T_base_foot, ahead = _foot(lines)
+    T_base_foot, ahead = _foot(lines, np.eye(4) if T_base_stand is None else T_base_stand)
     y = T_base_foot[:3, :3] @ about_z(ahead)[:3, 1]
     signs = np.ones(6)
     signs[0] = _sense(lines.directions[0], T_base_foot[:3, 2])
@@ -173,12 +176,17 @@ def _wrist_centre(lines: JointAxes) -> Array:
     return np.asarray(centre)
 
 
-def _foot(lines: JointAxes) -> tuple[Array, float]:
-    """The frame (4, 4) of the foot in the base: z along axis 1 and up, turned against the base as little as can be; and
-    theta_1 at zero [rad]: how far ahead of its x the arm stands, axis 2 before axis 1."""
-    up = lines.directions[0] * _sense(lines.directions[0], np.array([0.0, 0.0, 1.0]))
+def _foot(lines: JointAxes, T_base_stand: Array) -> tuple[Array, float]:
+    """The frame (4, 4) of the foot in the base: z along axis 1 and up as seen from the arm's own base, against which it is
+    turned as little as can be; and theta_1 at zero [rad]: how far ahead of its x the arm stands, axis 2 before axis 1."""
+    T_base_own = T_base_stand.copy()
+    if abs(lines.directions[0] @ T_base_own[:3, 2]) < 0.5:
+        T_base_own[:3, :3] = np.eye(3)  # a link that was drawn lying, which its URDF puts upright
+    own = lines.seen_from(T_base_own)
+    up = own.directions[0] * _sense(own.directions[0], np.array([0.0, 0.0, 1.0]))
     y = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < 0.9 else np.array([0.0, 0.0, 1.0])
-    T = from_zy(lines.points[0], up, y)  # level with the base's origin, to which that point is nearest
+    level = own.points[0] - (own.points[0] @ up) * up  # with the origin of the arm's own base
+    T = T_base_own @ from_zy(level, up, y)
     local = lines.seen_from(T)
     across = local.directions[1]
     a1 = local.points[1] @ np.array([across[1], -across[0], 0.0])
