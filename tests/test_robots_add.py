@@ -129,6 +129,22 @@ def test_a_frame_at_the_end_of_the_last_link_is_the_flange(tmp_path: Path) -> No
     assert named.robot.tip == "link_6", "whoever names one gets it"
 
 
+def test_what_is_mounted_on_a_flange_is_no_part_of_it(tmp_path: Path) -> None:
+    """A sensor, and an empty frame where it ends: the controller's flange stays before both."""
+    body = '<collision><origin xyz="0 0 0.025"/><geometry><box size="0.06 0.06 0.05"/></geometry></collision>'
+    text = urdf_of(KR10, bodies=True).replace(
+        "</robot>",
+        f'<link name="sensor">{body}</link><link name="measured"/>'
+        '<joint name="s" type="fixed"><parent link="tool0"/><child link="sensor"/></joint>'
+        '<joint name="m" type="fixed"><parent link="tool0"/><child link="measured"/><origin xyz="0 0 0.05"/></joint></robot>',
+    )
+    _, made = added(written(tmp_path, text), tmp_path / "arm.yaml")
+    assert made.found.tip == made.robot.tip == "tool0"
+    assert not any("beyond its frame" in note for note in made.found.notes)
+    assert any(note.startswith("sensor on the flange: counted") for note in made.found.notes)
+    assert depth(made.robot, made.found.outwards) == pytest.approx(0.05), "which the trial's nozzle is longer by"
+
+
 @pytest.mark.parametrize("end", ["0.2 0 0", "0.1 0.01 0"])
 def test_a_frame_inside_its_link_is_told_and_the_trial_s_nozzle_longer(end: str, tmp_path: Path) -> None:
     file, made = added(begins_in_the_wrist(tmp_path, end), tmp_path / "arm.yaml")

@@ -18,7 +18,7 @@ from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.problem.settings import LANGUAGE_NAMES
-from planner.robots.face import DEEP, depth, frame_at_the_end
+from planner.robots.face import DEEP, depth, frame_at_the_end, mounted
 from planner.robots.files import robot_text, trial_files
 from planner.robots.survey import Survey, expanded, key_of, survey
 from planner.robots.touching import NOTHING, Touching, touching
@@ -142,9 +142,16 @@ def added(
             found = survey(read, end, named=False)
             file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
             robot = read_robot(file)
-        if (deep := depth(robot, found.outwards)) > DEEP:
+        tools = mounted(read, robot)
+        if (deep := depth(robot, found.outwards, tools)) > DEEP:
             note = (
                 f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
+            )
+            found = replace(found, notes=(*found.notes, note))
+        if tools:
+            note = (
+                f"{', '.join(tools)} on the flange: counted as parts of the last link; a print head belongs into "
+                "cell.nozzle.head of problems, and is left out here by without"
             )
             found = replace(found, notes=(*found.notes, note))
         if found.roughly:

@@ -6,26 +6,31 @@ flange would be as much too long; so another frame at the end is taken instead, 
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from planner.base.arrays import Array
 from planner.cell.robot import Robot, base_to_tip
 from planner.cell.solids import Hull, triangles_of
-from planner.cell.urdf import Urdf, joints_to, link_frame, moved_by
+from planner.cell.urdf import Urdf, hanging_on, joints_to, link_frame, moved_by
+from planner.robots.survey import is_flange
 
 DEEP = 10e-3  # m: a frame no deeper is at the end, whatever stands out of it, a pin or a screw
 NEAR = 5e-3  # m from the end, of a frame that is there
 ASIDE = 1e-3  # m from the last axis
 
 
-def depth(robot: Robot, outwards: Array) -> float:
+def depth(robot: Robot, outwards: Array, without: Collection[str] = ()) -> float:
     """How far the bodies of the last joint reach beyond the flange's frame [m], on the last axis; 0 if they do not.
 
-    outwards: where the axis leaves the flange (3), in the flange's frame.
+    outwards: where the axis leaves the flange (3), in the flange's frame; without: links whose bodies do not count
     """
     T_flange_last = np.linalg.inv(base_to_tip(robot.model, robot.tip).T_last_tip)
     deepest = 0.0
     for body in robot.bodies[-1]:
+        if body.link in without:
+            continue
         T = T_flange_last @ body.T_frame_solid
         points = triangles_of(body.solid)[0] @ T[:3, :3].T + T[:3, 3]
         deepest = max(deepest, _leaves(Hull(points).planes, outwards))
@@ -43,10 +48,18 @@ def _leaves(planes: Array, along: Array) -> float:
     return max(last, 0.0) if first <= last else 0.0
 
 
+def mounted(urdf: Urdf, robot: Robot) -> list[str]:
+    """Links with bodies that hang on a link named as a flange: what somebody has mounted there."""
+    if not is_flange(robot.tip):
+        return []
+    behind = hanging_on(urdf, [robot.tip]) - {robot.tip}
+    return [link for link in dict.fromkeys(body.link for body in robot.bodies[-1]) if link in behind]
+
+
 def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
     """An empty link, fixed to the flange's on the last axis, where its bodies end; None if the flange's frame is there, or
     no such link is. One whose z leaves the arm comes first."""
-    deep = depth(robot, outwards)
+    deep = depth(robot, outwards, mounted(urdf, robot))
     if deep <= DEEP:
         return None
     model, moved = robot.model, moved_by(urdf, robot.tip)

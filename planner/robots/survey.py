@@ -150,7 +150,7 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
             file=urdf.path,
             hint="only arms with a closed-form inverse can be planned with",
         )
-    named = [link for link in arms if _rank(link) < len(FLANGES)]
+    named = [link for link in arms if is_flange(link)]
     if named:
         most_axes = max(ways[link] for link in named)
         named = [link for link in named if ways[link] == most_axes]
@@ -170,6 +170,11 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
     if len(carried) > 1:
         raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="--tip says which one")
     return carried[0]
+
+
+def is_flange(link: str) -> bool:
+    """Whether a link is named as a flange."""
+    return _rank(link) < len(FLANGES)
 
 
 def _rank(link: str) -> int:
