@@ -209,6 +209,10 @@ def test_seven_axes_and_offset_wrists_are_known_by_their_geometry() -> None:
         (('xyz="0.66 0.0 0.0"', 'xyz="0.66 0.0 0.08"'), "no inverse kinematics.*axes 4 and 5 pass each other by 80.0 mm"),
         (('<joint name="joint_6" type="revolute">', '<joint name="joint_6" type="revolute"><mimic joint="joint_5"/>'),
          "no arm of six or seven axes"),
+        (('<link name="base_link"></link>',
+          '<link name="floor"/><link name="base_link"/><joint name="rail" type="prismatic"><parent link="floor"/>'
+          '<child link="base_link"/><axis xyz="1 0 0"/><limit lower="0" upper="3" velocity="1"/></joint>'),
+         "no arm of six or seven axes: .*what carries an arm has a URDF and a file of its own"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_planned_with_is_refused_and_nothing_written(
@@ -219,6 +223,9 @@ def test_what_cannot_be_planned_with_is_refused_and_nothing_written(
     with pytest.raises(InputError, match=said):
         added(written(tmp_path, text.replace(*change)), tmp_path / "arm.yaml")
     assert [path.name for path in tmp_path.iterdir()] == ["arm.urdf"]
+    if "prismatic" in change[1]:
+        with pytest.raises(InputError, match=r"joint rail: slides.*give the arm alone"):
+            added(tmp_path / "arm.urdf", tmp_path / "arm.yaml", tip="tool0")
 
 
 def test_two_arms_need_a_name() -> None:

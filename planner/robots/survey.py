@@ -32,6 +32,7 @@ ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
+_CARRIED = "what carries an arm has a URDF and a file of its own, cell.base.robot of problems: give the arm alone"
 _TOLD = 6  # arguments of a xacro file, in a hint
 _ARGUMENT = re.compile(r"<xacro:arg\s[^>]*?\bname\s*=\s*[\"']([^\"']+)[^>]*")
 _INCLUDE = re.compile(r"<xacro:include\s[^>]*?\bfilename\s*=\s*[\"']([^\"']+)")
@@ -77,6 +78,9 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
         near = nearest_name(tip, urdf.links())
         raise InputError(f"no link {tip!r}", file=urdf.path, hint=f"did you mean {near}?" if near else None)
     joints = moving_joints(urdf, tip)
+    for joint in joints:
+        if joint.get("type") == "prismatic":
+            raise urdf.error(joint, f"joint {joint.get('name')}", "slides, and those of an arm turn", _CARRIED)
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
@@ -148,7 +152,7 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
         raise InputError(
             f"no arm of six or seven axes: {many}",
             file=urdf.path,
-            hint="only arms with a closed-form inverse can be planned with",
+            hint=_CARRIED if _is_carried(urdf) else "only arms with a closed-form inverse can be planned with",
         )
     named = [link for link in arms if is_flange(link)]
     if named:
@@ -170,6 +174,12 @@ def _flange(urdf: Urdf, ways: dict[str, int]) -> str:
     if len(carried) > 1:
         raise InputError(f"several arms end in {', '.join(carried)}", file=urdf.path, hint="--tip says which one")
     return carried[0]
+
+
+def _is_carried(urdf: Urdf) -> bool:
+    """Whether as many joints turn as an arm has, in a row with one that slides."""
+    ways = ([joint.get("type") for joint in moving_joints(urdf, link)] for link in urdf.links())
+    return any("prismatic" in way and sum(kind != "prismatic" for kind in way) in AXES for way in ways)
 
 
 def is_flange(link: str) -> bool:
