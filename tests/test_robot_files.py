@@ -164,6 +164,25 @@ def test_a_package_is_known_by_its_name_not_its_folder(tmp_path: Path) -> None:
         read_robot(file)
 
 
+@pytest.mark.parametrize(
+    ("mine", "theirs"),
+    [
+        ("own_cell", "own_description-main"),
+        ("own_cell", "robots/own_description-main"),
+        ("mine/own_cell", "robots/own_description-main"),
+    ],
+)
+def test_meshes_of_a_package_beside_that_of_the_urdf_are_found(mine: str, theirs: str, tmp_path: Path) -> None:
+    """A workspace: a package with the cell, and the robot's as it was downloaded, each in a repository of several or not."""
+    cell, package = (tmp_path / "workspace" / "src" / where for where in (mine, theirs))
+    for folder, name in ((cell / "urdf", "own_cell"), (package / "meshes", "own_description")):
+        folder.mkdir(parents=True)
+        (folder.parent / "package.xml").write_text(f"<package><name>{name}</name></package>", encoding="utf-8")
+    (package / "meshes" / "hand.stl").write_text(STL, encoding="utf-8")
+    file = write(cell / "urdf", URDF.replace("hand.stl", "package://own_description/meshes/hand.stl"))
+    assert read_robot(file).bodies[2][0].name == "hand"
+
+
 @pytest.mark.parametrize("key", ["panda", "ur5", "ur10", "irb140", "iiwa"])
 def test_bodies_stand_where_pinocchio_has_them(key: str) -> None:
     """Every point of every body, in random postures, against Pinocchio's geometry of the whole URDF."""

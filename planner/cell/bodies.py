@@ -264,12 +264,28 @@ def _mesh_path(urdf: Urdf, shape: ET.Element, field: str) -> Path:
                 return folder / inside
             if (folder / rest).is_file() and _is_package(folder, package):
                 return folder / rest
-        hint = f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in one whose package.xml is of {package}"
+        if beside := _in_package_beside(urdf.path.resolve(), package, rest):
+            return beside
+        hint = (
+            f"looked for {inside} in all folders around {urdf.path.name}, and {rest} in one whose package.xml is of {package}, "
+            "there and beside its own package"
+        )
         raise urdf.error(shape, field, f"no mesh {name}", hint)
     path = Path(unquote(address.path)) if address.scheme == "file" else urdf.path.parent / name
     if not path.is_file():
         raise urdf.error(shape, field, f"no mesh {name}", f"looked for {path}")
     return path
+
+
+def _in_package_beside(urdf: Path, package: str, rest: str) -> Path | None:
+    """A file of a package that lies beside the URDF's own one, as in a ROS workspace, also in a repository of several."""
+    own = next((folder for folder in urdf.parents if (folder / "package.xml").is_file()), None)
+    if own is None:
+        return None
+    around = own.parent
+    found = (*around.glob("*/package.xml"), *around.glob("*/*/package.xml"), *around.parent.glob("*/*/package.xml"))
+    folders = (manifest.parent for manifest in sorted(found))
+    return next((each / rest for each in folders if (each / rest).is_file() and _is_package(each, package)), None)
 
 
 def _is_package(folder: Path, name: str) -> bool:
