@@ -27,9 +27,9 @@ from planner.robots import survey as surveying
 from planner.robots.adding import add_robot, added
 from planner.robots.command import main
 from planner.robots.face import depth
-from planner.robots.files import nozzle_of, spiral
+from planner.robots.files import cap_for, nozzle_of, spiral
 from planner.robots.survey import key_of, survey
-from planner.robots.trial import trial
+from planner.robots.trial import _places, trial
 from planner.verify.bodies import CellBodies, coal_geometry, pairs
 from tests.public_arms import ARMS, urdf_of
 
@@ -558,6 +558,21 @@ def test_the_nozzle_stands_before_the_flange(outwards: tuple[int, int, int]) -> 
     nozzle = nozzle_of(np.array(outwards, dtype=float), np.radians(45.0))
     np.testing.assert_allclose(nozzle.tip, 0.1 * np.array(outwards))
     assert nozzle.axis @ np.array(outwards) == pytest.approx(np.cos(np.radians(45.0)))
+
+
+@pytest.mark.parametrize(("place", "turn"), [((0.5, -0.2, 4.0), np.pi), ((0.0, 0.0, 2.0), 0.0)])
+def test_a_trial_is_looked_for_where_the_urdf_has_the_arm(
+    place: tuple[float, float, float], turn: float, tmp_path: Path
+) -> None:
+    """A URDF that begins with the room: the arm hangs 4 m above its floor, or stands 2 m above it."""
+    room = '<link name="room"/><joint name="r" type="fixed"><parent link="room"/><child link="base_link"/>'
+    room += f'<origin xyz="{place[0]} {place[1]} {place[2]}" rpy="{turn} 0 0"/></joint></robot>'
+    _, made = added(written(tmp_path, urdf_of(KR10).replace("</robot>", room)), tmp_path / "arm.yaml")
+    found = _places(made.robot, nozzle_of(made.found.outwards, 0.0), cap_for(1.4), 1.4)
+    assert len(found) > 0
+    away = np.array(found) - place
+    assert (away[:, 0] > 0.5).all() and np.abs(away[:, 1]).max() < 1e-9
+    assert (away[:, 2] < 0.0).all() if turn else (away[:, 2] > -0.3).all()
 
 
 def test_an_interrupted_trial_leaves_the_file_and_says_so(

@@ -27,6 +27,7 @@ PLANS = 6  # that are tried with each nozzle: those of places without a posture 
 LONGEST = 240.0  # s after which no further place is looked at
 HOMES = 4  # postures that are tried at each
 BACK = -0.15  # height of a place as a share of the reach, for arms whose base is above what they do best
+HUNG = (-0.3, -0.45, -0.6, -0.75)  # and the heights of places beneath an arm that hangs in its URDF
 
 
 @dataclass(frozen=True)
@@ -115,11 +116,12 @@ def _groups(cap: Cap) -> list[tuple[Array, Array]]:
 
 
 def _places(robot: Robot, nozzle: TrialNozzle, cap: Cap, far: float) -> list[Array]:
-    """Round places (3) [m] of the cap's centre before the arm, the best first, none beside another."""
-    rated = []
-    for high in (*HIGH, BACK):
+    """Round places (3) [m] of the cap's centre before the arm, wherever that stands in its URDF, the best first, none beside
+    another."""
+    T_base_stand, rated = robot.T_base_stand, []
+    for high in HUNG if T_base_stand[2, 2] < -0.5 else (*HIGH, BACK):
         for share in FAR:
-            at = np.round(np.array([share, 0.0, high]) * far / ROUND) * ROUND
+            at = np.round((T_base_stand[:3, 3] + np.array([share, 0.0, high]) * far) / ROUND) * ROUND
             worth = 1.0
             for points, axis in _groups(cap):
                 if worth > 0.0:
