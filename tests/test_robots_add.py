@@ -72,6 +72,16 @@ def test_what_is_assumed_of_a_joint_that_says_little() -> None:
     np.testing.assert_allclose(found.acceleration, np.array(found.speeds) / surveying.RISE)
 
 
+@pytest.mark.parametrize(("lower", "upper"), [("-1e+16", "1e+16"), ("-inf", "inf"), ("0", "0.0"), ("-3.1", "")])
+def test_ends_that_no_joint_has_are_none(lower: str, upper: str) -> None:
+    low, high = (float(np.radians(end)) for end in KR10.ranges[5])
+    own = f'lower="{low!r}" upper="{high!r}"'
+    text = urdf_of(KR10)
+    assert text.count(own) == 1
+    given = f'lower="{lower}" upper="{upper}"' if upper else f'lower="{lower}"'
+    assert survey(urdf(text.replace(own, given)), None).ranges == {"joint_6": (-360.0, 360.0)}
+
+
 def test_a_gripper_is_no_part_of_the_arm() -> None:
     text = urdf_of(KR10).replace("tool0", "hand").replace(
         "</robot>",

@@ -30,6 +30,7 @@ FLANGES = (  # names of flange links, best first
 ASSUMED_SPEED = 1.5  # rad/s of a joint whose URDF tells none: slower than most
 ASSUMED_TURN = 360.0  # deg to either side, of a joint without ends
 ALONG = 0.99  # cosine: a frame's z leaves the flange along the last axis
+_MOST_APART = 20.0 * 2.0 * np.pi  # rad between the ends of a joint: ten turns to either side, as in problem files
 RISE = 0.25  # s in which a joint is assumed to reach its speed
 JERK = 50.0  # 1/s: assumed jerk by acceleration, as of the arms that ship
 _CARRIED = "what carries an arm has a URDF and a file of its own, cell.base.robot of problems: give the arm alone"
@@ -203,12 +204,20 @@ def _left_open(joints: Sequence[ET.Element]) -> tuple[list[str], list[str]]:
     open_, slow = [], []
     for joint in joints:
         limit, name = joint.find("limit"), joint.get("name", "")
-        ends = None if limit is None else (limit.get("lower"), limit.get("upper"))
-        if joint.get("type") == "continuous" or ends is None or None in ends or ends[0] == ends[1]:
+        if joint.get("type") == "continuous" or limit is None or not _has_ends(limit):
             open_.append(name)
         if limit is None or not _positive(limit.get("velocity")):
             slow.append(name)
     return open_, slow
+
+
+def _has_ends(limit: ET.Element) -> bool:
+    """Whether a limit says where a joint ends: not at one place, as CAD exports them, nor farther away than any cable allows."""
+    try:
+        apart = abs(float(limit.get("upper", "nan")) - float(limit.get("lower", "nan")))
+    except ValueError:
+        return True  # what stands there is told where it is read
+    return 0.0 < apart <= _MOST_APART
 
 
 def _positive(text: str | None) -> bool:
