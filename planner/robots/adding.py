@@ -18,7 +18,7 @@ from planner.cell.robot import Robot, read_robot
 from planner.cell.robot_file import read_robot_file
 from planner.cell.urdf import Urdf, parse_urdf, read_urdf
 from planner.problem.settings import LANGUAGE_NAMES
-from planner.robots.face import DEEP, depth, frame_at_the_end, mounted
+from planner.robots.face import DEEP, beneath, depth, frame_at_the_end, mounted
 from planner.robots.files import robot_text, trial_files
 from planner.robots.survey import Survey, expanded, key_of, survey
 from planner.robots.touching import NOTHING, Touching, touching
@@ -142,24 +142,7 @@ def added(
             found = survey(read, end, named=False)
             file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
             robot = read_robot(file)
-        tools = mounted(read, robot)
-        if (deep := depth(robot, found.outwards, tools)) > DEEP:
-            note = (
-                f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
-            )
-            found = replace(found, notes=(*found.notes, note))
-        if tools:
-            note = (
-                f"{', '.join(tools)} on the flange: counted as parts of the last link; a print head belongs into "
-                "cell.nozzle.head of problems, and is left out here by without"
-            )
-            found = replace(found, notes=(*found.notes, note))
-        if found.roughly:
-            note = (
-                "axes of its shoulder or wrist pass each other: postures are found from those of an arm where they meet, and "
-                f"{_missed(robot):.0%} of random ones are missed"
-            )
-            found = replace(found, notes=(*found.notes, note))
+        found = replace(found, notes=(*found.notes, *_notes(read, robot, found)))
         touch = touching(read, robot)
         file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
         whole = Added(found, touch, read_robot(file))
@@ -171,6 +154,31 @@ def added(
             if made:
                 source.unlink(missing_ok=True)
     return file, whole
+
+
+def _notes(urdf: Urdf, robot: Robot, found: Survey) -> list[str]:
+    """What is told of an arm's bodies and postures, in words."""
+    notes, tools = [], mounted(urdf, robot)
+    if (deep := depth(robot, found.outwards, tools)) > DEEP:
+        notes.append(
+            f"{found.tip}'s body reaches {deep * 1e3:.0f} mm beyond its frame: nozzle.tip_mm counts from the frame"
+        )
+    if tools:
+        notes.append(
+            f"{', '.join(tools)} on the flange: counted as parts of the last link; a print head belongs into "
+            "cell.nozzle.head of problems, and is left out here by without"
+        )
+    if below := beneath(urdf, robot):
+        notes.append(
+            f"{', '.join(below)} beneath the arm: counted as its foot, from which the nozzle keeps away everywhere; what is "
+            "printed on belongs into cell.fixtures of problems, and is left out here by without"
+        )
+    if found.roughly:
+        notes.append(
+            "axes of its shoulder or wrist pass each other: postures are found from those of an arm where they meet, and "
+            f"{_missed(robot):.0%} of random ones are missed"
+        )
+    return notes
 
 
 def _missed(robot: Robot) -> float:

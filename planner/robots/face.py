@@ -56,6 +56,12 @@ def mounted(urdf: Urdf, robot: Robot) -> list[str]:
     return [link for link in dict.fromkeys(body.link for body in robot.bodies[-1]) if link in behind]
 
 
+def beneath(urdf: Urdf, robot: Robot) -> list[str]:
+    """Links with bodies on which the arm's own base stands, or beside which it does: a room, a table, a gantry."""
+    own = hanging_on(urdf, [robot.stand])
+    return [link for link in dict.fromkeys(body.link for body in robot.bodies[0]) if link not in own]
+
+
 def frame_at_the_end(urdf: Urdf, robot: Robot, outwards: Array) -> str | None:
     """An empty link, fixed to the flange's on the last axis, where its bodies end; None if the flange's frame is there, or
     no such link is. One whose z leaves the arm comes first."""
