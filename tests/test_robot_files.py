@@ -134,6 +134,17 @@ def test_links_that_are_not_there_are_left_out_with_what_hangs_on_them(tmp_path:
     assert [[body.name for body in bodies] for bodies in robot.bodies] == [["base (foot)"], ["arm", "arm (cap)"], []]
 
 
+def test_of_links_beneath_the_arm_all_is_left_out_but_the_arm(tmp_path: Path) -> None:
+    box = '<collision><geometry><box size="{}"/></geometry></collision>'
+    floor = f'<link name="floor">{box.format("3 3 0.1")}</link><link name="wall">{box.format("0.1 3 3")}</link>'
+    for child in ("wall", "base"):
+        floor += f'<joint name="to_{child}" type="fixed"><parent link="floor"/><child link="{child}"/></joint>'
+    text, above = URDF.replace("</robot>", f"{floor}</robot>"), [["arm", "arm (cap)"], ["hand", "finger"]]
+    for without, foot in ("wall", ["base (foot)", "floor"]), ("floor", ["base (foot)"]), ("base", ["floor", "wall"]):
+        robot = read_robot(write(tmp_path, text, YAML + RANGE + f"without: [{without}]\n"))
+        assert [sorted(body.name for body in bodies) for bodies in robot.bodies] == [sorted(foot), *map(sorted, above)]
+
+
 def test_a_robot_without_bodies(tmp_path: Path) -> None:
     bare = "\n".join(line for line in URDF.splitlines() if "<collision" not in line)
     assert read_robot(write(tmp_path, bare)).bodies == ((), (), ())

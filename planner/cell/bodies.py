@@ -48,16 +48,27 @@ _TUBE = 15e-3  # m, radius of what holds it, from its upper end to the middle of
 class BodyRules:
     """How a robot's file wants the shapes of its URDF to be taken.
 
-    without    links that are left out, with what hangs on them
+    without    links that are left out, with what hangs on them but the arm
     pieces     by link, how many convex pieces at most each of its meshes becomes; one where a link is not named
     may_touch  pairs of links that may be in touch
     colours    of links and of their shapes, by name; `others` of all that are not named, `caps` of covers on joints
+    first      the link in which the first joint turns, and the one that it moves: where the arm begins
     """
 
     without: tuple[str, ...] = ()
     pieces: Mapping[str, int] = field(default_factory=dict)
     may_touch: tuple[tuple[str, str], ...] = ()
     colours: Mapping[str, str] = field(default_factory=dict)
+    first: tuple[str, ...] = ()
+
+    def left_out(self, urdf: Urdf) -> set[str]:
+        """Links that are not there: of one beneath the arm's base, or of this, what does not belong to the arm above."""
+        found = set[str]()
+        for link in self.without:
+            own = hanging_on(urdf, [link])
+            above = [each for each in self.first if each in own and each != link]
+            found |= own - hanging_on(urdf, above[:1])
+        return found
 
     def beside(self, link: str) -> frozenset[str]:
         """The links that one link may touch."""
@@ -78,7 +89,7 @@ def read_bodies(
     pieces of them. Raises InputError for shapes that cannot be read.
     """
     bodies: list[list[Body]] = [[] for _ in range(model.njoints)]
-    absent = hanging_on(urdf, rules.without)
+    absent = rules.left_out(urdf)
     for name, link in urdf.links().items():
         if name in absent or (only is not None and name not in only):
             continue
@@ -95,7 +106,7 @@ def read_bodies(
 def read_looks(urdf: Urdf, model: pin.Model, rules: BodyRules) -> tuple[tuple[Look, ...], ...]:
     """Meshes that links show, by the joint of the model that carries them, as `read_bodies`; the files are not read yet."""
     looks: list[list[Look]] = [[] for _ in range(model.njoints)]
-    absent = hanging_on(urdf, rules.without)
+    absent = rules.left_out(urdf)
     for name, link in urdf.links().items():
         if name in absent:
             continue

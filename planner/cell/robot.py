@@ -24,7 +24,16 @@ from planner.cell.kinematics.skew_wrist import SkewWrist, read_skew_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot_file import KINDS, LENGTHS, RobotFile, is_number, read_robot_file
 from planner.cell.solids import Body, Look
-from planner.cell.urdf import Urdf, link_frame, model_of, moving_joints, names_of, read_urdf, sliding_joints, stand_of
+from planner.cell.urdf import (
+    Urdf,
+    first_links,
+    link_frame,
+    model_of,
+    moving_joints,
+    names_of,
+    read_urdf,
+    sliding_joints,
+)
 from planner.problem import Problem
 from planner.problem.settings import LANGUAGE_NAMES, USUAL_LANGUAGE
 
@@ -135,7 +144,7 @@ def read_robot(path: Path) -> Robot:
     file = read_robot_file(path)
     urdf = read_urdf(file.urdf())
     model = _model(file, urdf)
-    stand = stand_of(urdf, file.text("tip"))
+    stand, _ = first_links(urdf, file.text("tip"))
     n = model.njoints - 1
     rules = _body_rules(file, urdf)
     return Robot(
@@ -164,6 +173,7 @@ def _body_rules(file: RobotFile, urdf: Urdf) -> BodyRules:
         pieces=file.pieces(links),
         may_touch=file.link_pairs(links),
         colours=file.colours([*links, *sorted(shapes - {""}), OTHERS, CAPS]),
+        first=first_links(urdf, file.text("tip")),
     )
 
 

@@ -102,7 +102,9 @@ KEYS = {
         "the URDF's",
         _RANGES,
     ),
-    "without": RobotKey("links of the URDF that are left out, with all that hangs on them", "[hand]", "none", _NAMES),
+    "without": RobotKey(
+        "links of the URDF that are left out, with all that hangs on them but the arm", "[hand]", "none", _NAMES
+    ),
     "pieces": RobotKey(
         f"by link, how many convex pieces its meshes are cut into, {MOST_PIECES} at most; a bent link fills its bend otherwise",
         "{link_3: 4}",

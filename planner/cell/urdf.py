@@ -163,9 +163,11 @@ def moved_by(urdf: Urdf, link: str) -> str:
     return next(reversed(names_of(moving_joints(urdf, link))), "")
 
 
-def stand_of(urdf: Urdf, tip: str) -> str:
-    """Name of the link in which the first joint that moves on the way to another one turns, or slides."""
-    return _end(moving_joints(urdf, tip)[0], "parent")
+def first_links(urdf: Urdf, tip: str) -> tuple[str, str]:
+    """Names of the link in which the first joint that moves on the way to another one turns, or slides, and of that which it
+    moves."""
+    joint = moving_joints(urdf, tip)[0]
+    return _end(joint, "parent"), _end(joint, "child")
 
 
 def sliding_joints(urdf: Urdf, tip: str) -> list[str]:
