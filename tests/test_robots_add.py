@@ -106,6 +106,18 @@ def test_a_finger_that_turns_is_no_seventh_axis() -> None:
     assert found.tip == "arm_end_effector" and len(found.joints) == 6
 
 
+def test_a_gripper_whose_flange_has_no_name_may_be_told_from_the_arm() -> None:
+    """A finger that turns, behind links of any names, counts as a seventh axis until the flange is named."""
+    text = urdf_of(KR10).replace("tool0", "hand").replace(
+        "</robot>",
+        '<link name="finger"/><joint name="grip" type="revolute"><parent link="hand"/><child link="finger"/>'
+        '<limit lower="0" upper="1" velocity="1" effort="1"/></joint></robot>',
+    )  # fmt: skip
+    with pytest.raises(InputError, match="--tip names the flange, if grip is not the arm's but a gripper's"):
+        survey(urdf(text), None)
+    assert survey(urdf(text), "hand").kind == "spherical_wrist"
+
+
 def test_of_several_frames_of_a_flange_it_is_one_whose_z_leaves_it() -> None:
     """A `flange` with x out of it, as ROS has it, and a maker's own beside it."""
     text = urdf_of(KR10).replace("tool0", "maker_flange").replace(

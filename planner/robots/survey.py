@@ -85,7 +85,7 @@ def survey(urdf: Urdf, tip: str | None, named: bool = True) -> Survey:
     ranges, slow = _left_open(joints)
     model = model_of(urdf, tip, dict.fromkeys(ranges, (-np.pi, np.pi)), bool(slow))
     chain = base_to_tip(model, tip)
-    kind, redundant, roughly = _kind(urdf, chain)
+    kind, redundant, roughly = _kind(urdf, chain, named)
     own = [float(speed) for speed in model.velocityLimit]
     speeds = [ASSUMED_SPEED if name in slow else speed for name, speed in zip(chain.names, own, strict=True)]
     acceleration = tuple(_round(speed / RISE) for speed in speeds)
@@ -227,9 +227,9 @@ def _positive(text: str | None) -> bool:
         return False
 
 
-def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None, bool]:
+def _kind(urdf: Urdf, chain: Chain, named: bool) -> tuple[str, str | None, bool]:
     """The inverse kinematics that an arm has, its redundant joint, and whether it is only roughly of that kind; InputError, with
-    what each lacks, for any other."""
+    what each lacks, for any other. named: whoever asks has named the flange."""
     lacking = []
     if len(chain) == 7:
         for near, joint in product((NEAR, FAR), (2, 6)):
@@ -251,6 +251,8 @@ def _kind(urdf: Urdf, chain: Chain) -> tuple[str, str | None, bool]:
                 return name, None, False
             except OtherGeometry as error:
                 lacking.append(f"{name}: {error}")
+    if len(chain) == max(AXES) and not named:
+        lacking.insert(0, f"--tip names the flange, if {chain.names[-1]} is not the arm's but a gripper's")
     raise InputError("this arm has no inverse kinematics that is known here", file=urdf.path, hint="; ".join(lacking))
 
 
