@@ -167,14 +167,16 @@ def test_what_is_mounted_on_a_flange_is_no_part_of_it(tmp_path: Path) -> None:
     assert depth(made.robot, made.found.outwards) == pytest.approx(0.05), "which the trial's nozzle is longer by"
 
 
-def test_a_table_beneath_the_arm_is_told(tmp_path: Path) -> None:
-    """The nozzle would keep its distance from it at the tip, too: nothing could be printed on it."""
-    body = '<collision><geometry><box size="2 2 0.1"/></geometry></collision>'
+def test_what_an_arm_stands_on_is_told_and_stays_checked(tmp_path: Path) -> None:
+    """A table, with a shelf that the upper arm is in at most of its angles: no reason to overlook both for good."""
+    box = '<collision><origin xyz="0 0 {}"/><geometry><box size="2 2 0.1"/></geometry></collision>'
+    body = box.format(0.0) + box.format(0.7)
     table = f'<link name="table">{body}</link><joint name="t" type="fixed"><parent link="table"/>'
     table += '<child link="base_link"/><origin xyz="0 0 0.05"/></joint></robot>'
     text = urdf_of(KR10, bodies=True)
     _, made = added(written(tmp_path, text.replace("</robot>", table)), tmp_path / "arm.yaml")
     assert any(note.startswith("table beneath the arm: counted as its foot") for note in made.found.notes)
+    assert made.robot.bodies[0] and not any("table" in pair for pair in made.touch.may_touch)
     _, bare = added(written(tmp_path, text), tmp_path / "bare.yaml")
     assert not any("beneath the arm" in note for note in bare.found.notes)
 

@@ -170,8 +170,8 @@ def _notes(urdf: Urdf, robot: Robot, found: Survey) -> list[str]:
         )
     if below := beneath(urdf, robot):
         notes.append(
-            f"{', '.join(below)} beneath the arm: counted as its foot, from which the nozzle keeps away everywhere; what is "
-            "printed on belongs into cell.fixtures of problems, and is left out here by without"
+            f"{', '.join(below)} beneath the arm: counted as its foot, on which nothing can be printed; a mesh is its hull, which is not "
+            "looked at where it holds the arm in every posture: give it as cell.fixtures of problems, and leave it out by without"
         )
     if found.roughly:
         notes.append(

@@ -8,7 +8,7 @@ joints: as hulls, and as the URDF draws them, triangle by triangle.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from planner.cell.kinematics.chain import joint_move
 from planner.cell.robot import Robot, joint_axis
 from planner.cell.solids import Body, Hull
 from planner.cell.urdf import Urdf, link_frame
+from planner.robots.face import beneath, mounted
 from planner.verify.bodies import coal_geometry
 
 APART = (2, 3)  # joints between the links that are compared: more joints lead almost anywhere
@@ -57,14 +58,20 @@ class _Shares(NamedTuple):
 
 
 def touching(urdf: Urdf, robot: Robot) -> Touching:
-    """Compare all links of an arm that are two or three joints apart."""
+    """Compare all links of an arm that are two or three joints apart.
+
+    What it stands on is none of them, nor what is mounted on its flange: at random it runs into these in earnest.
+    """
+    others = {*beneath(urdf, robot), *mounted(urdf, robot)}
+    own = tuple(tuple(body for body in each if body.link not in others) for each in robot.bodies)
+    robot = replace(robot, bodies=own)
     out, bodies = NOTHING, robot.bodies
     drawn: Drawn = cache(lambda joint: _drawn(urdf, robot, joint))
     for apart in APART:
         for i in range(len(bodies) - apart):
             if bodies[i] and bodies[i + apart]:
-                own = _judged(urdf, robot, drawn, (i, i + apart))
-                out = Touching(out.may_touch + own.may_touch, out.pieces | own.pieces, out.notes + own.notes)
+                said = _judged(urdf, robot, drawn, (i, i + apart))
+                out = Touching(out.may_touch + said.may_touch, out.pieces | said.pieces, out.notes + said.notes)
     return out
 
 
