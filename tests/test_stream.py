@@ -37,6 +37,7 @@ from planner.link.streaming import (
     StreamStopped,
     main,
     packed,
+    plan_sum,
     program_in,
     send,
     server_module,
@@ -146,7 +147,8 @@ def test_all_three_tell_the_same() -> None:
     assert number_in("bsCapacity") == server.CAPACITY and f"bsRing{{{server.CAPACITY}}}" in TEXT
     assert number_in("bsSilence") == server.SILENCE > 2 * ALIVE_EVERY
     assert number_in("bsStarving") == server.STARVING
-    assert number_in("bsVersion") == stream_sender.VERSION
+    assert number_in("bsVersion") == stream_sender.VERSION == server.VERSION
+    assert stream_sender.ANY_PLAN == server.ANY_PLAN
     assert number_in("bsAtOnce") == stream_sender.AT_ONCE == server.MESSAGE and server.MESSAGE * server.FRAME <= 1024
     assert f"FOR i FROM 0 TO {(LENGTH - 4) // 2 - 1} DO" in TEXT and f"at+{LENGTH - 3},said" in TEXT
 
@@ -201,7 +203,7 @@ def simulated(program: RobotProgram, capacity: int, latency: float, step: float)
     stream, now = stream_of(program), 0.0
     sender, buffer = Sender(stream, now), Buffer(capacity)
     there: list[tuple[float, bytes]] = []
-    back = [(latency, f"B 2 {capacity}\n".encode())]
+    back = [(latency, f"B 3 {capacity} {stream.plan}\n".encode())]
     for _ in range(200_000):
         if sender.finished:
             return buffer
@@ -286,7 +288,7 @@ def test_a_rail_takes_the_time_of_an_axis_that_slides() -> None:
 
 def begun(moves: int = 20) -> Sender:
     sender = Sender(stream_of(straight(moves=moves)), 0.0)
-    sender.receive(b"B 2 8\n", 0.0)
+    sender.receive(b"B 3 8 any\n", 0.0)
     assert len(sender.due(0.0)) == 8 * LENGTH
     return sender
 
@@ -294,8 +296,9 @@ def begun(moves: int = 20) -> Sender:
 @pytest.mark.parametrize(
     "said",
     [
-        *(b"C 9 0\n", b"C 2 3\n", b"C 4 4\nC 3 3\n", b"C 4 4\nC 5 3\n", b"B 2 8\n", b"E 21 0\n", b"E 8 0\n", b"C 1\n"),
-        *(b"hello\n", b"C 01 0\n", b"C 1 0 \n", b"\xff\n", b"C 1" + b"1" * 200, b"X 3 jam\n", b"C -1 0\n", b"\n"),
+        *(b"C 9 0\n", b"C 2 3\n", b"C 4 4\nC 3 3\n", b"C 4 4\nC 5 3\n", b"B 3 8 any\n", b"E 21 0\n", b"E 8 0\n"),
+        *(b"C 1\n", b"hello\n", b"C 01 0\n", b"C 1 0 \n", b"\xff\n", b"C 1" + b"1" * 200, b"X 3 jam\n"),
+        *(b"C 4 4 any\n", b"C -1 0\n", b"\n"),
     ],
 )
 def test_what_cannot_be_stops_the_sender(said: bytes) -> None:
@@ -309,9 +312,32 @@ def test_credit_in_pieces_lets_it_go_on() -> None:
     sender.receive(b"C 8 ", 0.1)
     sender.receive(b"3\nC 8 5\n", 0.2)
     assert [frame_of(sender.due(0.2)[:LENGTH]).number, sender.sent] == [9, 13]
-    sender = Sender(stream_of(straight()), 0.0)
-    with pytest.raises(StreamStopped):
-        sender.receive(b"B 1 8\n", 0.0)
+
+
+def test_a_module_of_another_plan_gets_no_move() -> None:
+    """Tool, work object and outputs are the module's own: with those of another plan the same moves lead elsewhere."""
+    program = printed(("pla", "pva"))
+    stream = stream_of(program)
+    text = server_module(program, stream.signals, "192.168.125.1", 1026)
+    elsewhere = program.oframe + [0.0003, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    others = [
+        plan_sum(replace(program, oframe=elsewhere), stream.signals),
+        plan_sum(program, stream.signals[::-1]),
+        plan_sum(program, stream.signals, "aoDemand"),
+    ]
+    assert f'bsPlan:="{stream.plan}";' in text and len({stream.plan, *others}) == 4
+    assert stream.plan == stream_of(replace(program, position=program.position + 1.0)).plan
+    for said, words in (
+        *((f"B 3 8 {plan}", "of another plan: load the one that --server writes") for plan in (*others, "00000000")),
+        *((said, "of another version") for said in ("B 2 8", "B 1 8 any")),
+    ):
+        sender = Sender(stream, 0.0)
+        with pytest.raises(StreamStopped, match=words):
+            sender.receive(f"{said}\n".encode(), 0.0)
+        assert sender.due(0.0) == b""
+    sender = Sender(stream, 0.0)
+    sender.receive(f"B 3 8 {stream.plan}\n".encode(), 0.0)
+    assert len(sender.due(0.0)) == 8 * LENGTH
 
 
 def test_it_says_that_it_is_there_and_notices_silence() -> None:

@@ -2,10 +2,10 @@ MODULE BeadwiseStream
     ! Takes moves from a PC while the robot runs them: the PC's side is python -m planner.link.stream.
     ! Frames of 116 bytes come in, numbered and with a checksum, up to eight with one reading, which takes some 6 ms
     ! however much is read; lines of ASCII go back, ended by LF:
-    !   B version capacity    after the connection: how many frames fit here
-    !   C taken done          frames that have come, and frames handed to the motion: no frame beyond done + capacity
-    !   E n starved           finished after n frames; starved times the robot waited for frames within a bead
-    !   X n reason            stopped by itself
+    !   B version capacity plan   after the connection: how many frames fit here, and what of a plan this module has
+    !   C taken done              frames that have come, and frames handed to the motion: no frame beyond done + capacity
+    !   E n starved               finished after n frames; starved times the robot waited for frames within a bead
+    !   X n reason                stopped by itself
     ! The robot sets off from rest only once all moves up to the next rest are here, or the buffer is full.
 
     RECORD bsstep
@@ -29,10 +29,11 @@ MODULE BeadwiseStream
     ! --- of the plan ---
     CONST string bsAddress:="127.0.0.1";
     CONST num bsPort:=1026;
+    CONST string bsPlan:="00000000";
     PERS tooldata tBeadwise:=[TRUE,[[0,0,100],[1,0,0,0]],[1,[0,0,50],[1,0,0,0],0,0,0]];
     PERS wobjdata wobjBeadwise:=[FALSE,TRUE,"",[[0,0,0],[1,0,0,0]],[[0,0,0],[1,0,0,0]]];
     ! --- of every plan ---
-    CONST num bsVersion:=2;
+    CONST num bsVersion:=3;
     CONST num bsCapacity:=256;
     CONST num bsFrame:=116;
     CONST num bsAtOnce:=8;
@@ -125,7 +126,7 @@ MODULE BeadwiseStream
         SocketListen bsServer;
         TPWrite "Waiting for the PC at port "+NumToStr(bsPort,0);
         SocketAccept bsServer,bsClient\Time:=bsJoining;
-        SocketSend bsClient\Str:="B "+NumToStr(bsVersion,0)+" "+NumToStr(bsCapacity,0)+"\0A";
+        SocketSend bsClient\Str:="B "+NumToStr(bsVersion,0)+" "+NumToStr(bsCapacity,0)+" "+bsPlan+"\0A";
         ClkReset bsQuiet;
         ClkStart bsQuiet;
     ERROR

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from ipaddress import AddressValueError, IPv4Address
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,6 +70,7 @@ class Stream:
     longest   time of the longest single move or wait [s], at the programmed speeds
     lines     frame → what the extruder's board gets once the controller has handed the frame to its motion
     beads     (m) of its moves, or on the way there; TRAVEL for none, None where the program does not tell
+    plan      what the server's module has to have of a plan, as `plan_sum` tells it
     """
 
     total: int
@@ -76,6 +78,7 @@ class Stream:
     longest: float
     lines: dict[int, tuple[str, ...]]
     beads: Indices | None
+    plan: str
     _values: Array
     _codes: NDArray[np.int64]
 
@@ -117,8 +120,11 @@ def packed(
     return body + SUMS.pack(first, second)
 
 
-def stream_of(program: RobotProgram) -> Stream:
-    """The frames of a program of any style. Raises InputError for what only the program itself can do."""
+def stream_of(program: RobotProgram, demand: str = "") -> Stream:
+    """The frames of a program of any style; demand: analog output that takes the flow, empty for none.
+
+    Raises InputError for what only the program itself can do.
+    """
     if program.second is not None:
         raise InputError("two arms move together, and a stream moves one", hint="run the program's own two modules")
     m = len(program.position)
@@ -150,7 +156,8 @@ def stream_of(program: RobotProgram) -> Stream:
     # what is due before the first move comes with the joints; frame 1 is those
     lines = {move + 2: texts for move, texts in sorted(program.sends.items())}
     codes[[frame - 1 for frame in lines], 1] |= TELL
-    return Stream(m + 2, tuple(signals), _longest(program), lines, program.bead, values, codes)
+    plan = plan_sum(program, signals, demand)
+    return Stream(m + 2, tuple(signals), _longest(program), lines, program.bead, plan, values, codes)
 
 
 def _flows(program: RobotProgram, codes: NDArray[np.int64], values: Array) -> None:
@@ -206,13 +213,16 @@ def _longest(program: RobotProgram) -> float:
 # ----------------------------------------------------------------------------------------------------
 # The sender, without sockets: answers of the controller in, bytes out.
 
-VERSION = 2
+VERSION = 3
+ANY_PLAN = "any"  # of a simulated controller, which moves no robot
 LONGEST_LINE = 80  # characters, as RAPID's strings
 ALIVE_EVERY = 0.5  # s; the controller stops after 2 s of silence
 MOST_SENT = 8 * AT_ONCE  # frames sent before looking at what comes back
 PATIENCE = 30.0  # s without a word of the controller, beside its longest move
 SLOWEST = 10.0  # times as long as programmed: an operator may lower the speed that far
-_WORD = re.compile(r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})|X (0|[1-9][0-9]{0,8}) (.{1,70})")
+_WORD = re.compile(
+    r"([BCE]) (0|[1-9][0-9]{0,8}) (0|[1-9][0-9]{0,8})(?: ([0-9a-f]{8}|any))?|X (0|[1-9][0-9]{0,8}) (.{1,70})"
+)
 
 
 class StreamStopped(PlannerError):
@@ -230,7 +240,7 @@ class Sender:
     def __init__(self, stream: Stream, now: float) -> None:
         self.total, self.sent, self.taken, self.done, self.starved = stream.total, 0, 0, 0, 0
         self.finished = False
-        self._frames = stream.frames()
+        self._plan, self._frames = stream.plan, stream.frames()
         self._patience = PATIENCE + SLOWEST * stream.longest
         self._capacity: int | None = None
         self._partial = b""
@@ -274,12 +284,17 @@ class Sender:
         match = _WORD.fullmatch(text)
         if match is None:
             raise self._stopped(f"the controller sent {text[:20]!r}, which means nothing")
-        word, one, two, _, reason = match.groups()
+        word, one, two, plan, _, reason = match.groups()
         if reason is not None:
             raise self._stopped(f"the controller stopped: {reason}")
         first, second = int(one), int(two)
-        if word == "B" and self._capacity is None and first == VERSION and second > 0:
+        if word == "B" and self._capacity is None and second > 0:
+            if first != VERSION or plan not in (self._plan, ANY_PLAN):
+                what = "of another version" if first != VERSION else "with tool, work object or outputs of another plan"
+                raise self._stopped(f"the controller runs {MODULE}.mod {what}: load the one that --server writes")
             self._capacity = second
+        elif plan is not None:
+            raise self._stopped(f"the controller sent {text!r}, which cannot be")
         elif word == "C" and self.taken <= first <= self.sent and self.done <= second <= first:
             self.taken, self.done = first, second
         elif word == "E" and self.sent == self.total and first == self.total - 1:
@@ -344,16 +359,37 @@ def server_module(program: RobotProgram, signals: Sequence[str], address: str, p
     demand  analog output that takes the flow; empty for none
     """
     text = files("planner.link").joinpath(f"{MODULE}.mod").read_text("ascii")
-    moved = "FALSE" if program.station else "TRUE"
-    frames = f'[FALSE,{moved},"{program.station}",{_pose(program.uframe)},{_pose(program.oframe)}]'
-    load = "[1,[0,0,50],[1,0,0,0],0,0,0]"
     data = [
         f'CONST string bsAddress:="{address}";',
         f"CONST num bsPort:={port};",
+        f'CONST string bsPlan:="{plan_sum(program, signals, demand)}";',
         "! The load below is a placeholder: identify it on the robot before the first run.",
+        *_data(program),
+    ]
+    procedures = _procedures(program, signals, demand)
+    new = iter(("\n".join(f"    {line}" for line in data) + "\n", "\n".join(procedures) + "\n"))
+    return _PARTS.sub(lambda match: match[1] + next(new), text)
+
+
+def plan_sum(program: RobotProgram, signals: Sequence[str], demand: str = "") -> str:
+    """Eight digits for what a module has of a plan, which no frame says: tool, work object, station and outputs."""
+    text = "\n".join([*_data(program), *_procedures(program, signals, demand)])
+    return f"{crc32(text.encode('ascii')):08x}"
+
+
+def _data(program: RobotProgram) -> list[str]:
+    """Declarations of tool and work object."""
+    moved = "FALSE" if program.station else "TRUE"
+    frames = f'[FALSE,{moved},"{program.station}",{_pose(program.uframe)},{_pose(program.oframe)}]'
+    load = "[1,[0,0,50],[1,0,0,0],0,0,0]"
+    return [
         f"PERS tooldata tBeadwise:=[TRUE,{_pose(program.tool)},{load}];",
         f"PERS wobjdata wobjBeadwise:={frames};",
     ]
+
+
+def _procedures(program: RobotProgram, signals: Sequence[str], demand: str) -> list[str]:
+    """Procedures that name outputs and station."""
     off = [f"SetDO {name},0;" for name in signals] + ([f"SetAO {demand},0;"] if demand else [])
     units = ["! No station: the part stands still."]
     if program.station:
@@ -364,13 +400,11 @@ def server_module(program: RobotProgram, signals: Sequence[str], address: str, p
             f"    DeactUnit {program.station};",
             "ENDIF",
         ]
-    procedures = [
+    return [
         *_procedure("BsTrigg(bsstep next,robtarget via,robtarget target,zonedata zone)", _triggers(signals, demand)),
         *_procedure("BsAllOff()", off or ["! No output: the extruder has its own connection."]),
         *_procedure("BsUnits(bool active)", units),
     ]
-    new = iter(("\n".join(f"    {line}" for line in data) + "\n", "\n".join(procedures) + "\n"))
-    return _PARTS.sub(lambda match: match[1] + next(new), text)
 
 
 def _triggers(signals: Sequence[str], demand: str) -> list[str]:
@@ -468,7 +502,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
 def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     program, demand = program_in(options.folder)
     program_as_written(options.folder, [path.name for path in modules_in(options.folder)], options.edited, say)
-    stream = stream_of(program)
+    stream = stream_of(program, demand)
     if options.controller is not None and bool(stream.lines) != (options.head is not None):
         what = "sends lines to the extruder's board: say where it is" if stream.lines else "has no lines for a board"
         raise InputError(f"the program {what}", field="--head")

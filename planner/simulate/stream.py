@@ -21,7 +21,8 @@ from planner.base.arrays import Array
 from planner.simulate.board import Fault, Faults
 from planner.simulate.servers import bound_socket
 
-VERSION = 2
+VERSION = 3
+ANY_PLAN = "any"  # in place of what a module has of a plan: no robot is moved
 FRAME = 116  # bytes
 MESSAGE = 8  # frames that are read at once: RAPID's raw bytes hold 1024 bytes
 CAPACITY = 256  # frames
@@ -248,7 +249,7 @@ class StreamServer:
 
     def _run(self, connection: socket.socket) -> None:
         partial, received_at = b"", time.monotonic()
-        self._say(f"B {VERSION} {self._capacity}")
+        self._say(f"B {VERSION} {self._capacity} {ANY_PLAN}")
         with selectors.DefaultSelector() as selector:
             selector.register(connection, selectors.EVENT_READ)
             while not self._buffer.finished:
