@@ -23,6 +23,7 @@ from planner.base.errors import InputError
 from planner.export.extruder import FILE, differences, gcode
 from planner.export.languages import LANGUAGES
 from planner.export.plan_json import plan_json
+from planner.export.program import resumed
 from planner.motion.visits import visits
 from planner.plan import Event, Plan
 from planner.planning.check_command import one_layer
@@ -35,6 +36,7 @@ from planner.report.channels import channels
 from planner.report.charts import time_charts
 from planner.report.places import dip_place, dips_section
 from planner.report.summary import print_summary
+from planner.report.wording import resumed_words
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.speeds import commanded_speeds, mean_speed
@@ -344,6 +346,20 @@ def test_a_print_that_is_resumed_has_the_pauses_that_are_left() -> None:
     assert last.verified
     assert [event.bead for event in rest.trajectory.events if event.kind == "pause"] == [6]
     assert [event.kind for event in last.trajectory.events if event.kind in ("pause", "cool")] == []
+
+
+def test_a_rest_that_begins_behind_a_pause_leaves_it_to_the_user() -> None:
+    """Of three layers with three beads each: bead 6 begins the third, before which a nut is put in."""
+    whole = by_layer()
+    before, rest, later = (replace(whole, trajectory=replace(whole.trajectory, first_bead=k)) for k in (5, 6, 7))
+    assert resumed_words(rest).endswith("; before the start, as in the pause before layer 3: put the nut in")
+    assert resumed(rest) == [
+        "Resumes at bead 6: those before it must be there",
+        "Before the start, as in the pause before layer 3: put the nut in",
+    ]
+    for plan in (before, later):
+        assert "nut" not in resumed_words(plan) and len(resumed(plan)) == 1
+    assert resumed(whole) == []
 
 
 @pytest.mark.slow

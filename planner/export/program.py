@@ -72,8 +72,14 @@ def made_with(plan: Plan) -> list[str]:
 
 
 def resumed(plan: Plan) -> list[str]:
-    """A line that says where the rest of a print begins; none for a whole one."""
-    return [f"Resumes at bead {plan.first_bead}: those before it must be there"] if plan.first_bead else []
+    """Lines that say where the rest of a print begins, and which pause comes before its start; none for a whole one."""
+    if not plan.first_bead:
+        return []
+    pause = plan.pause_left_out
+    lines = [f"Resumes at bead {plan.first_bead}: those before it must be there"]
+    if pause is not None:
+        lines.append(f"Before the start, as in the pause before layer {pause.before_layer}: {pause.what}")
+    return lines
 
 
 def held_by(cell: Cell) -> list[str]:

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+    from planner.problem.by_layer import PauseSpec
     from planner.report.inline import InlineScene
     from planner.resolve.joint_path import JointPath
     from planner.resolve.roll_map import RollMap
@@ -359,6 +360,16 @@ class Plan:
         """Name of the nozzle that has to be on the flange at the start, where one of several is; empty for all others."""
         one = self.problem.cell.mounted == "one"
         return self.cell.at(self.beads[0].material).nozzle_name if one else ""
+
+    @property
+    def pause_left_out(self) -> PauseSpec | None:
+        """The pause before the layer that a resumed print begins with, which comes before the start; None where the layer was
+        begun before, and where none is asked for."""
+        pauses = {pause.before_layer - 1: pause for pause in self.problem.process.pauses}
+        if not pauses or not self.first_bead:
+            return None
+        *before, first = (bead.layer for bead in self.toolpath.beads[: self.first_bead + 1])
+        return None if first in before else pauses.get(first)
 
     @property
     def commanded(self) -> Array:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from planner.report.extruder import events_words, materials_words
@@ -66,7 +67,7 @@ def print_summary(
     out = Console(highlight=False)
     m = plan.metrics
     size = f"{counted(m['beads'], 'bead')}, {counted(m['layers'], 'layer')}, {m['deposited_length_mm'] / 1e3:.2f} m"
-    size += f"; {resumed_words(plan)}" if plan.first_bead else ""
+    size += f"; {escape(resumed_words(plan))}" if plan.first_bead else ""
     table = Table(title=f"{plan.problem.name}: {size}", title_justify="left")
     table.add_column("")
     table.add_column(plan.strategy, justify="right")

@@ -228,11 +228,15 @@ def counted(count: float, one: str) -> str:
 
 
 def resumed_words(plan: Plan) -> str:
-    """What a plan of a resumed print leaves out, and which nozzle it goes on with, where they are exchanged."""
+    """What a plan of a resumed print leaves out, which nozzle it goes on with, where they are exchanged, and which pause
+    comes before its start."""
     last = plan.first_bead - 1
     before = "bead 0" if last == 0 else f"beads 0 to {last}"
     nozzle = f", {plan.begins_with} on the flange" if plan.begins_with else ""
-    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there{nozzle}"
+    pause = plan.pause_left_out
+    words = "before the start, as in the pause before layer"
+    left = "" if pause is None else f"; {words} {pause.before_layer}: {pause.what}"
+    return f"resumed at bead {plan.first_bead} of {len(plan.toolpath.beads)}, {before} taken to be there{nozzle}{left}"
 
 
 def significant(value: float, digits: int = 4) -> str:
