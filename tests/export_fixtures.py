@@ -84,6 +84,7 @@ def problem(
     return SimpleNamespace(
         name="two_beads",
         file=Path("two_beads.yaml"),
+        sources=SimpleNamespace(sha256=""),
         from_arrays=False,
         as_run=None,
         cell=CellSpec(arm=arm, nozzle=nozzle, home_deg=HOMES[arm], limits=limits, **holder).model_copy(

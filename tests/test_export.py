@@ -462,7 +462,8 @@ def test_json_is_strict_and_complete():
             "versions",
             "baseline",
         ),
-        *("settings", "files", "dips", "events", "layer_times", "notes", "first_bead", "problem_file"),
+        *("settings", "files", "dips", "events", "layer_times", "notes", "first_bead"),
+        *("problem_file", "problem_sha256"),
     }
     assert data["dips"] == data["events"] == data["notes"] == []
     assert data["verified"] is True and data["metrics"]["sigma_min"] is None

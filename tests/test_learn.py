@@ -34,6 +34,7 @@ from benchmarks.learn import ROBOTS, recorded, runs_of, true_way, write_log
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.base.progress import Stages
+from planner.base.results import digest
 from planner.cell.cell import build_cell
 from planner.export.controllers import CONTROLLERS
 from planner.export.forecast import forecast
@@ -62,7 +63,7 @@ from planner.feedback.learn_fit import (
 )
 from planner.feedback.learn_telling import next_lines, next_name, off_at, read_lessons, write_problem
 from planner.feedback.learn_track import recorded_way
-from planner.feedback.planned import PlannedWith, planned_problem, planned_with
+from planner.feedback.planned import PlannedWith, check_as_planned, planned_problem, planned_with
 from planner.feedback.recordings import read_log
 from planner.motion.as_run import FADE, Corrections, displacements, read_corrections
 from planner.plan import Check, Nearer, Plan, Trajectory
@@ -709,6 +710,23 @@ def test_what_is_planned_again_is_planned_as_it_was(tmp_path: Path, monkeypatch:
     assert asked == [("greedy", 0.01, 1), ("ladder", 0.01, 1), (None, 0.01, 1)]
     resumed = replace(small_plan(), trajectory=replace(small_plan().trajectory, first_bead=2))
     assert planned_with("small.plan", resumed) == PlannedWith("ladder", 2, resumed.settings["dt"])
+
+
+def test_results_whose_problem_was_changed_since_teach_nothing(tmp_path: Path) -> None:
+    file = write_small(tmp_path / "problem")
+    held = {
+        "problem": "small",
+        "problem_file": file.as_posix(),
+        "problem_sha256": digest(file),
+        "settings": {"overrides": []},
+    }
+    (tmp_path / "plan.json").write_text(json.dumps(held), encoding="utf-8")
+    assert load_problem(file, ["layers.count=1"]).sources.sha256 == digest(file)
+    check_as_planned(str(tmp_path), load_problem(file))
+    file.write_text(file.read_text(encoding="utf-8").replace("speed_mm_s: 40", "speed_mm_s: 30"), encoding="utf-8")
+    with pytest.raises(InputError, match="was changed since"):
+        ran_plan(str(tmp_path), (), None, Stages())
+    check_as_planned(str(file), load_problem(file))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,11 @@ from simulate_fixtures import MODULE
 from test_link_sockets import Session
 
 from planner.base.errors import InputError
+from planner.base.results import digest
 from planner.link.command import main
 from planner.link.logged import UNSAID, outcome_of
 from planner.link.program_lines import ProgramLines
+from planner.link.telling import going_on
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
@@ -132,6 +135,28 @@ def test_the_command(tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit) as stopped:
         main(["--where", str(log)])
     assert stopped.value.code == 2
+
+
+def test_a_problem_that_was_changed_since_is_told(tmp_path: Path) -> None:
+    """Its beads may count otherwise: the one to go on from may lie elsewhere."""
+    file = tmp_path / "cup.yaml"
+    file.write_text("name: cup\n")
+    plan = {
+        "problem": "cup",
+        "problem_file": file.as_posix(),
+        "problem_sha256": digest(file),
+        "strategy": "ladder",
+        "settings": {"overrides": []},
+    }
+    planned = going_on(plan, "cup")
+    command = f"to go on: python -m planner.solve {shlex.quote(str(file))} --from-bead 3 --strategy ladder"
+    assert planned.lines(3) == [command]
+    file.write_text("name: cup\nstrategy: sqp\n")
+    told = f"{file} was changed since it was planned: bead 3 may be another one; put it back as it was"
+    assert planned.lines(3) == [told, command]
+    assert going_on(plan | {"problem_sha256": None}, "cup").lines(3) == [command]
+    file.unlink()
+    assert planned.lines(3) == [command]
 
 
 def write_program(folder: Path, lines: ProgramLines) -> Path:

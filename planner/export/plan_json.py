@@ -100,6 +100,7 @@ DIP_DECIMALS = 5  # decimals of what is said of dips
 KEYS = {
     "problem": "name of the problem",
     "problem_file": "its file, as it was given; null for waypoints from arrays",
+    "problem_sha256": "SHA-256 of that file as it was read; null where it was read from none",
     "strategy": "the strategy that planned it",
     "resolved_by": "the strategy whose paths these are: the default takes a simpler one's where that prints better",
     "first_bead": "index of the first bead that is laid; not 0 where an interrupted print is resumed",
@@ -157,6 +158,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
     data = {
         "problem": plan.problem.name,
         "problem_file": None if plan.problem.from_arrays else _as_given(plan.problem),
+        "problem_sha256": plan.problem.sources.sha256 or None,
         "strategy": plan.strategy,
         "resolved_by": plan.resolved_by or plan.strategy,
         "first_bead": plan.first_bead,

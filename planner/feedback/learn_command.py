@@ -54,7 +54,7 @@ from planner.feedback.learn_telling import (
     write_problem,
 )
 from planner.feedback.learn_track import recorded_way, way_along
-from planner.feedback.planned import planned_problem, planned_with
+from planner.feedback.planned import check_as_planned, planned_problem, planned_with
 from planner.feedback.recordings import add_recording, read_log
 from planner.motion.as_run import Corrections, asked_of, asked_trajectory, corrections_of
 from planner.plan import Check, Plan
@@ -203,10 +203,11 @@ def foretold(plan: Plan, most: float, stages: Stages) -> tuple[Learned, RunError
 def ran_plan(given: str, overrides: Sequence[str | Override], strategy: str | None, stages: Stages) -> Plan:
     """The plan whose program was run: as it was saved, or planned again as it was, but for what is given otherwise.
 
-    Raises InputError where there is no program of it, as of a saved plan whose problem or robots were changed since,
-    and Refusal where there is no plan.
+    Raises InputError where there is no program of it, as of a saved plan whose problem or robots were changed since, or of
+    results whose problem was, and Refusal where there is no plan.
     """
     problem, plan = planned_problem(given)
+    check_as_planned(given, problem)
     if plan is None or overrides or strategy:
         made, changed = planned_with(given, plan), problem.changed(overrides)
         own = made.strategy if changed.strategy == problem.strategy else None

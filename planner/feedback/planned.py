@@ -45,6 +45,16 @@ def planned_with(given: str, plan: Plan | None) -> PlannedWith:
     return planned_results(Path(given)).made if _is_results(given) else PlannedWith()
 
 
+def check_as_planned(given: str, problem: Problem) -> None:
+    """Raise InputError where a folder of results is of a problem file that was changed since."""
+    if not _is_results(given):
+        return
+    then, now = planned_results(Path(given)).sha256, problem.sources.sha256
+    if then and now and then != now:
+        hint = "put it back as it was; where it makes the same plan, give it in place of the folder, with --set as then"
+        raise InputError(f"was changed since {given} was planned", file=problem.file, hint=hint)
+
+
 def _is_results(given: str) -> bool:
     return Path(given).is_dir() and given not in shipped_problems()
 
@@ -61,12 +71,13 @@ def _of_plan(plan: Plan, path: Path) -> Problem:
 @dataclass(frozen=True)
 class PlannedResults:
     """What the plan.json of a folder of results says of its problem: name, file or shipped name (None: from arrays), what
-    `--set` changed (None: it does not say), and what else decided the plan."""
+    `--set` changed (None: it does not say), what else decided the plan, and SHA-256 of the file then (None: likewise)."""
 
     name: str
     problem_file: str | None
     overrides: tuple[str, ...] | None
     made: PlannedWith
+    sha256: str | None
 
 
 def planned_results(folder: Path) -> PlannedResults:
@@ -79,11 +90,13 @@ def planned_results(folder: Path) -> PlannedResults:
         given = held.get("problem_file", name)
         dt = float((settings or {}).get("dt", DEFAULT_DT))
         made = PlannedWith(held.get("strategy"), int(held.get("first_bead", 0)), dt)
+        sha256 = held.get("problem_sha256")
     except FileNotFoundError as error:
         raise InputError("holds no plan.json", file=folder, hint="a folder that solve wrote") from error
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("is no plan.json that solve wrote", file=file) from error
-    return PlannedResults(name, given if isinstance(given, str) else None, overrides, made)
+    given, sha256 = (each if isinstance(each, str) else None for each in (given, sha256))
+    return PlannedResults(name, given, overrides, made, sha256)
 
 
 def _of_folder(folder: Path) -> Problem:

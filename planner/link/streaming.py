@@ -590,8 +590,8 @@ def send(
             part(connection, sender.stop(bytes(waiting)), LAST_WORDS)
             if (bead := stream.begun(sender.done)) is not None:
                 say(f"bead {bead} was begun, or the way there: look whether the one before is whole")
-                if planned is not None:
-                    say(planned.words(bead))
+                for text in [] if planned is None else planned.lines(bead):
+                    say(text)
             raise
     if lines is not None:
         lines.finish()

@@ -6,12 +6,15 @@ import shlex
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
+from planner.base.results import digest
+from planner.base.shipped import PROBLEMS
 from planner.link.program_lines import NO_BEAD, ProgramLines
 from planner.link.relay import STANDING, RelayState, RunOutcome, RunStatus
 
@@ -99,24 +102,45 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class GoingOn:
-    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead."""
+    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead.
+
+    file     the problem's, or its name where it ships
+    sha256   of the file as it was planned; empty where that is not known
+    """
 
     problem: str
     options: str = ", with the same --set and --strategy"
+    file: str = ""
+    sha256: str = ""
 
-    def words(self, bead: int) -> str:
-        """How to go on from a bead."""
-        return f"to go on: python -m planner.solve {self.problem} --from-bead {bead}{self.options}"
+    def lines(self, bead: int) -> list[str]:
+        """How to go on from a bead, and before that what stands against it."""
+        command = f"to go on: python -m planner.solve {self.problem} --from-bead {bead}{self.options}"
+        if not self._is_changed():
+            return [command]
+        words = f"{self.file} was changed since it was planned: bead {bead} may be another one; put it back as it was"
+        return [words, command]
+
+    def _is_changed(self) -> bool:
+        """Whether the problem's file is another one now. One that is not there is told by whoever plans."""
+        if not self.sha256:
+            return False
+        own, shipped = Path(self.file), PROBLEMS / f"{self.file.removesuffix('.yaml')}.yaml"
+        try:
+            return digest(own if own.is_file() or own.name != self.file else shipped) != self.sha256
+        except OSError:
+            return False
 
 
 def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
     """How the print of a plan.json is planned again; by the name in its program's header where that does not say."""
     try:
-        problem = plan.get("problem_file") or plan["problem"]
+        problem, sha256 = plan.get("problem_file") or plan["problem"], plan.get("problem_sha256")
         words = ["--strategy", plan["strategy"]]
         for override in plan["settings"]["overrides"]:
             words += ["--set", override]
-        return GoingOn(shlex.quote(problem), f" {shlex.join(words)}")
+        known = sha256 if isinstance(sha256, str) else ""
+        return GoingOn(shlex.quote(problem), f" {shlex.join(words)}", problem, known)
     except (KeyError, TypeError):
         return GoingOn(name)
 
@@ -137,4 +161,4 @@ def ending(lines: ProgramLines, outcome: RunOutcome, planned: GoingOn) -> list[s
     resume = outcome.position.resume
     if resume is None:
         return [*out, "all beads were printed"]
-    return [*out, planned.words(resume)]
+    return [*out, *planned.lines(resume)]

@@ -178,7 +178,7 @@ def apply_overrides(
             return InputError(reason, field=label, hint=hint)
 
         data = _put(data, override.path, override.value, complain)
-    return data, ValueSources(source.file, source.lines, tuple(overrides))
+    return data, replace(source, overrides=tuple(overrides))
 
 
 def printed(toolpath: object) -> Override:

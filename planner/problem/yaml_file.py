@@ -7,6 +7,7 @@ tell explicit tags such as !!str from resolved ones. Scalars follow the core sch
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import re
@@ -91,11 +92,13 @@ class ValueSources:
     file        as the user gave it
     lines       path of keys → line (from 1); the empty path is where the document starts
     overrides   what was set besides, in the order in which it was
+    sha256      of the file's content; empty where it came from none
     """
 
     file: Path
     lines: dict[Keys, int]
     overrides: tuple[Override, ...] = ()
+    sha256: str = ""
 
     def error(self, path: Keys, reason: str, hint: str | None = None) -> InputError:
         """Return the InputError for the field at `path`, naming its file and line, or the `--set` it came from."""
@@ -185,7 +188,7 @@ def read_yaml_file(file: Path, empty: str) -> tuple[dict[str, Any], ValueSources
         raise complain("is empty", hint=empty)
     if not isinstance(data, dict):
         raise complain(f"must be `key: value` lines at the top, not {describe(data)}", lines[()])
-    return data, ValueSources(file, lines)
+    return data, ValueSources(file, lines, sha256=hashlib.sha256(raw).hexdigest())
 
 
 def parse_yaml(text: str, complain: Complaint, lines: dict[Keys, int]) -> Any:
