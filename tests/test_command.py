@@ -22,8 +22,8 @@ from solved import SVG, line_of, write_small
 import planner.planning.pipeline
 from planner.base.errors import EXIT_VERIFIED
 from planner.base.results import results_folder
-from planner.planning.solve_command import main
-from planner.problem import shipped_problems
+from planner.planning.solve_command import main, plan_of_another
+from planner.problem import load_problem, shipped_problems
 
 ROOT = Path(__file__).resolve().parents[1]
 VERIFIED = {
@@ -655,6 +655,31 @@ def put_earlier(folder: Path) -> None:
     with results_folder(folder, "solve") as fresh:
         for name in VERIFIED - {"manifest.json"}:
             (fresh / name).write_text("earlier")
+
+
+@pytest.mark.parametrize(
+    ("there", "told"),
+    [
+        ("monday/small.yaml", ""),
+        ("./monday/../monday/small.yaml", ""),
+        ("tuesday/small.yaml", "tuesday/small.yaml"),
+        ("small", "small"),
+        (None, ""),
+    ],
+)
+def test_the_plan_of_another_file_of_the_same_name_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: str | None, told: str
+) -> None:
+    """Copies of a problem, as for a part that stands elsewhere, have one folder of results."""
+    monkeypatch.chdir(tmp_path)
+    problem, folder = load_problem(write_small(Path("monday"))), Path("out/small")
+    assert plan_of_another(folder, problem) == ""
+    folder.mkdir(parents=True)
+    held = {"problem": "small", "problem_file": there, "strategy": "sqp"}
+    (folder / "plan.json").write_text(json.dumps(held, indent=1), encoding="utf-8")
+    assert plan_of_another(folder, problem) == told
+    (folder / "plan.json").write_text("earlier", encoding="utf-8")
+    assert plan_of_another(folder, problem) == ""
 
 
 @pytest.mark.slow

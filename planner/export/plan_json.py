@@ -157,7 +157,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
     ]
     data = {
         "problem": plan.problem.name,
-        "problem_file": None if plan.problem.from_arrays else _as_given(plan.problem),
+        "problem_file": None if plan.problem.from_arrays else file_as_given(plan.problem),
         "problem_sha256": plan.problem.sources.sha256 or None,
         "strategy": plan.strategy,
         "resolved_by": plan.resolved_by or plan.strategy,
@@ -195,7 +195,7 @@ def plan_json(plan: Plan, files: Mapping[str, str] | None = None) -> str:
     return json.dumps(_plain(data), indent=1, allow_nan=False) + "\n"
 
 
-def _as_given(problem: Problem) -> str:
+def file_as_given(problem: Problem) -> str:
     """A problem's file, or its name where it ships: wherever the package is, that says the same."""
     return problem.file.stem if problem.file.parent == PROBLEMS else problem.file.as_posix()
 

@@ -6,6 +6,8 @@ python -m planner.solve cylinder_logo.yaml
 from __future__ import annotations
 
 import argparse
+import json
+import re
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -20,7 +22,8 @@ from planner.base.results import results_folder
 from planner.base.signals import no_more_interruptions
 from planner.cell.cell import build_cell
 from planner.export.languages import chosen
-from planner.export.write import forecast_words, program_notes, write_refusal
+from planner.export.plan_json import file_as_given
+from planner.export.write import PLAN, forecast_words, program_notes, write_refusal
 from planner.plan import resumed_name
 from planner.planning.options import options_of
 from planner.planning.pipeline import RESULTS_BY, solve, write_files
@@ -31,6 +34,9 @@ from planner.report.failure import write_failure_report
 from planner.report.summary import print_summary
 from planner.toolpath.build import build_toolpath
 from planner.verify.drawing import cell_view
+
+HEAD = 4096  # characters of plan.json, whose first keys name the problem and its file
+_FILE = re.compile(r'^ "problem_file": (".*"),$', re.MULTILINE)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,6 +56,9 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
             problem = load_problem(options.problem, options.set)
         strategy = options.strategy or problem.strategy
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
+        if options.out is None and (other := plan_of_another(folder, problem)):
+            words = f"note: {folder} has the plan of {other}, which this one replaces: --out names another folder"
+            errors.print(words, markup=False, soft_wrap=True)
         # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
         with results_folder(folder, RESULTS_BY, told.append) as fresh, crew(options.jobs, options.scheduler) as over:
             libraries.begin()  # one core has nothing else to do before the search
@@ -76,6 +85,18 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         return EXIT_NOT_VERIFIED
     print_summary(plan, folder, chosen(plan).words, program_notes(plan, folder), forecast_words(folder))
     return EXIT_VERIFIED if plan.verified else EXIT_NOT_VERIFIED
+
+
+def plan_of_another(folder: Path, problem: Problem) -> str:
+    """The problem file whose plan is in a folder, by its path from here; empty where it is this problem's, or none."""
+    try:
+        with (folder / PLAN).open(encoding="utf-8", errors="replace") as stream:
+            found = _FILE.search(stream.read(HEAD))
+        other = "" if found is None else str(json.loads(found[1]))
+        same = other == file_as_given(problem) or Path(other).resolve() == problem.file.resolve()
+    except (OSError, ValueError):  # it is none of ours
+        return ""
+    return "" if same else other
 
 
 def report_refusal(problem: Problem, strategy: str, refusal: Refusal, path: Path) -> None:
