@@ -45,6 +45,8 @@ from planner.link.guided_motion import (
     filament_tool,
     read_plan,
 )
+from planner.link.program_lines import NO_BEAD
+from planner.link.telling import GoingOn
 from planner.plan import Plan
 from planner.simulate.board import BOARD_FAULTS, EGM_FAULTS, faults_of
 from planner.simulate.egm import EgmRobot
@@ -323,6 +325,34 @@ def test_nested_lists_without_end_are_no_plan(tmp_path) -> None:
     (tmp_path / "plan.json").write_text("[" * 200_000)
     with pytest.raises(InputError, match="cannot be read"):
         read_plan(tmp_path)
+
+
+def test_a_stop_tells_which_bead_was_begun_and_how_to_go_on() -> None:
+    """A robot that is where it is asked to be, and stops 0.1 or 0.4 s after it began; bead 8 begins 0.16 s into the plan."""
+
+    class Wire:
+        def __init__(self, stops: int) -> None:
+            self.at, self.heard, self.stops = bow().q[0], 0, stops
+            self.remarks: list[str] = []
+
+        def newest(self) -> EgmState:
+            self.heard += 1
+            return EgmState(self.at.copy(), self.heard < self.stops, self.heard * PERIOD)
+
+        def send(self, reference: np.ndarray) -> None:
+            self.at = reference
+
+    plan = replace(bow(), bead=np.where(np.arange(len(bow().q)) < 40, 7, 8))
+    for stops, bead in ((30, 7), (100, 8)):
+        told: list[str] = []
+        with pytest.raises(EgmStopped, match="the controller has stopped"):
+            egm.follow(plan, Wire(stops), told.append, planned=GoingOn("my.yaml", " --strategy sqp"))
+        assert told[-2:] == [
+            f"bead {bead} was begun, or the way there: look whether the one before is whole",
+            f"to go on: python -m planner.solve my.yaml --from-bead {bead} --strategy sqp",
+        ]
+    assert [plan.begun(sample) for sample in (0.0, 39.9, 40.0)] == [7, 7, 8]
+    assert replace(plan, bead=np.full(len(plan.q), NO_BEAD)).begun(3.0) is bow().begun(3.0) is None
 
 
 # ---- on the wire --------------------------------------------------------------------------------------------------
@@ -615,10 +645,15 @@ def test_filament_of_a_plan_is_read(tmp_path) -> None:
     plan = make_plan()
     read = read_plan(folder_of(plan, tmp_path))
     np.testing.assert_allclose(read.filament, 1e3 * plan.trajectory.feed, atol=1e-5)
+    t = plan.trajectory
+    first = [int(np.argmax(t.bead == k)) for k in (0, 1)]
+    assert (read.bead[: first[0] + 1] == 0).all() and read.bead[first[1] - 1] in (0, 1) and read.bead[-1] == NO_BEAD
+    np.testing.assert_array_equal(read.bead[t.bead >= 0], t.bead[t.bead >= 0])
     every = slice(0, None, 2)
     coarse = {k: v[every] for k, v in vars(plan.trajectory).items() if isinstance(v, np.ndarray)}
     again = read_plan(folder_of(replace(plan, trajectory=replace(plan.trajectory, dt=0.008, **coarse)), tmp_path))
     assert (np.diff(again.filament) >= 0.0).all() and again.filament[-1] == pytest.approx(read.filament[-1], abs=1e-3)
+    assert len(again.bead) == len(again.q) and set(again.bead.tolist()) == {0, 1, NO_BEAD}
 
 
 def test_the_tool_is_that_of_the_material(tmp_path) -> None:

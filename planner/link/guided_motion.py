@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Indices
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError, PlannerError
 from planner.base.signals import hangups_interrupt
@@ -22,6 +22,8 @@ from planner.link.as_written import PLAN, add_edited, read_json, table_as_writte
 from planner.link.connections import given_address
 from planner.link.egm_wire import ARM_AXES, EgmState, EgmWire, egm_messages, egm_wire
 from planner.link.feed import BoardFeed, Feed, FeedStopped, feeding
+from planner.link.program_lines import NO_BEAD
+from planner.link.telling import GoingOn, begun_words, going_on
 
 # ----------------------------------------------------------------------------------------------------
 # Limiter: however goals jump, no step goes beyond the joints' speed and acceleration.
@@ -80,12 +82,19 @@ class JointPlan:
     q (n, m) [rad], as the controller counts them
     velocity, acceleration (m) limits [rad/s, rad/s²], 0 for an axis that is held
     filament (n,) that the motor has pushed since the start [mm], the board's own unit; None where nobody asks for it
+    bead (n,) that is laid, or on the way to which the robot is; NO_BEAD behind the last one; None where nobody asks
     """
 
     q: Array
     velocity: Array
     acceleration: Array
     filament: Array | None = None
+    bead: Indices | None = None
+
+    def begun(self, sample: float) -> int | None:
+        """The bead, or that on whose way, the robot is at a sample; None where it is on none."""
+        bead = NO_BEAD if self.bead is None else int(self.bead[int(sample)])
+        return None if bead == NO_BEAD else bead
 
 
 def read_plan(folder: Path) -> JointPlan:
@@ -117,7 +126,7 @@ def read_plan(folder: Path) -> JointPlan:
         raise InputError("guided motion moves no axes that slide", file=path)
     if any(not 0.0 < value < math.inf for pair in limits.values() for value in pair):
         raise InputError("a limit that is no positive number", file=path)
-    moved, filament = _table(folder / "trajectory.csv", names)
+    moved, filament, bead = _table(folder / "trajectory.csv", names)
     order = [*arm, *holder]
     columns = [np.full(len(moved), held[name]) if name in held else moved[:, names.index(name)] for name in order]
     q, (sign, offset) = np.column_stack(columns), np.transpose(counts)
@@ -125,7 +134,7 @@ def read_plan(folder: Path) -> JointPlan:
     if not np.isfinite(q).all():
         raise InputError("an angle that is no number", file=path)
     both = np.array([limits.get(name, (0.0, 0.0)) for name in order])
-    return JointPlan(q, both[:, 0], both[:, 1], filament)
+    return JointPlan(q, both[:, 0], both[:, 1], filament, bead)
 
 
 def filament_tool(folder: Path) -> int:
@@ -147,17 +156,18 @@ def filament_tool(folder: Path) -> int:
     return tools[0] if tools else 0
 
 
-def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
-    """The named columns at EGM's rate (n, k), and the filament (n)."""
+def _table(path: Path, names: list[str]) -> tuple[Array, Array, Indices]:
+    """The named columns at EGM's rate (n, k), the filament (n), and the bead (n) that is laid or comes next."""
     try:
         if path.stat().st_size > LARGEST_TABLE:
             raise InputError(f"larger than {LARGEST_TABLE >> 20} MB", file=path)
         with path.open(encoding="ascii") as stream:
             head = stream.readline().strip().split(",")
-            missing = [name for name in ("t_s", *names, "e_mm") if name not in head]
+            wanted = ("t_s", "bead", *names, "e_mm")
+            missing = [name for name in wanted if name not in head]
             if missing:
                 raise InputError(f"no column {missing[0]!r}", file=path, line=1)
-            columns = [head.index(name) for name in ("t_s", *names, "e_mm")]
+            columns = [head.index(name) for name in wanted]
             rows = np.loadtxt(stream, delimiter=",", usecols=columns, ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read: {error}", file=path) from error
@@ -166,11 +176,19 @@ def _table(path: Path, names: list[str]) -> tuple[Array, Array]:
         raise InputError("not a trajectory with even steps", file=path)
     if steps.max() > LONGEST_STEP + UNEVEN:
         raise InputError(f"steps of {steps.max():g} s, but no plan has more than {LONGEST_STEP:g} s", file=path, line=3)
-    t, joints, filament = rows[:, 0], rows[:, 1:-1], rows[:, -1]
+    t, bead, joints, filament = rows[:, 0], _coming(rows[:, 1]), rows[:, 2:-1], rows[:, -1]
     if abs(steps[0] - PERIOD) < UNEVEN:
-        return joints, filament
+        return joints, filament, bead
     instants = np.minimum(np.arange(0.0, t[-1] + PERIOD, PERIOD), t[-1])
-    return np.asarray(CubicSpline(t, joints)(instants)), np.interp(instants, t, filament)
+    nearest = np.minimum(np.searchsorted(t, instants), len(t) - 1)
+    return np.asarray(CubicSpline(t, joints)(instants)), np.interp(instants, t, filament), bead[nearest]
+
+
+def _coming(bead: Array) -> Indices:
+    """The bead (n) that is laid at each sample, or else the one that comes next; NO_BEAD behind the last."""
+    laid = np.flatnonzero(bead != NO_BEAD)
+    following = np.searchsorted(laid, np.arange(len(bead)))
+    return np.asarray(np.append(bead[laid], NO_BEAD)[following], dtype=np.intp)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -386,13 +404,14 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     if cell is not None:
         within_limits(cell.as_counted, plan.q[:, plan.velocity > 0.0], PERIOD, say)
     tool = 0 if options.head is None else filament_tool(options.folder)
+    planned = going_on(read_json(options.folder / PLAN), "PROBLEM")
     with hangups_interrupt(), egm_wire(options.host, options.port, options.controller) as wire:
         say(f"waiting for {options.controller or 'the controller'} on {options.host}:{wire.port} (UDP)")
         if options.head is None:
-            follow(plan, wire, say)
+            follow(plan, wire, say, None, tool, planned)
         else:
             with feeding(given_address(options.head, BOARD_PORT, "--head")) as board:
-                follow(plan, wire, say, board, tool if options.tool is None else options.tool)
+                follow(plan, wire, say, board, tool if options.tool is None else options.tool, planned)
                 board.finish()
     say("finished")
     return EXIT_VERIFIED
@@ -404,12 +423,25 @@ def follow(
     say: Callable[[str], None],
     board: BoardFeed | None = None,
     tool: int = 0,
+    planned: GoingOn | None = None,
 ) -> Follower:
     """Guide the robot through the plan, and give its filament to the board's tool of this number.
 
     Raises EgmStopped where it ended before. An interrupt brings the robot to rest, and so does the board's FeedStopped.
+    `say` gets which bead was begun then, and how to go on from it.
     """
     follower, extruder = Follower(plan), None if board is None else _Extruder(plan, board, tool)
+    try:
+        _guide(follower, wire, say, extruder)
+    except (EgmStopped, FeedStopped, KeyboardInterrupt):
+        if follower.begun and (bead := plan.begun(follower.robot)) is not None:
+            for text in begun_words(bead, planned):
+                say(text)
+        raise
+    return follower
+
+
+def _guide(follower: Follower, wire: EgmWire, say: Callable[[str], None], extruder: _Extruder | None) -> None:
     try:
         _loop(follower, wire, say, extruder)
         if extruder is not None:
@@ -418,7 +450,6 @@ def follow(
         follower.stop()
         _loop(follower, wire, lambda text: None)
         raise
-    return follower
 
 
 class _Extruder:

@@ -32,7 +32,7 @@ from planner.link.as_written import PLAN, add_edited, program_as_written, read_j
 from planner.link.connections import given_address, part
 from planner.link.feed import BoardFeed, FeedStopped, feeding
 from planner.link.run import PASSWORD as BOARD_PASSWORD
-from planner.link.telling import GoingOn, going_on
+from planner.link.telling import GoingOn, begun_words, going_on
 from planner.plan import TRAVEL
 
 # ----------------------------------------------------------------------------------------------------
@@ -589,8 +589,7 @@ def send(
         except (StreamStopped, FeedStopped, KeyboardInterrupt):
             part(connection, sender.stop(bytes(waiting)), LAST_WORDS)
             if (bead := stream.begun(sender.done)) is not None:
-                say(f"bead {bead} was begun, or the way there: look whether the one before is whole")
-                for text in [] if planned is None else planned.lines(bead):
+                for text in begun_words(bead, planned):
                     say(text)
             raise
     if lines is not None:

@@ -145,6 +145,12 @@ def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
         return GoingOn(name)
 
 
+def begun_words(bead: int, planned: GoingOn | None) -> list[str]:
+    """What to look at, and how to go on, where a motion ended on a bead or on the way to it."""
+    ahead = [] if planned is None else planned.lines(bead)
+    return [f"bead {bead} was begun, or the way there: look whether the one before is whole", *ahead]
+
+
 def ending(lines: ProgramLines, outcome: RunOutcome, planned: GoingOn) -> list[str]:
     """How a run ended, in lines: why, where it stands, what the user should look at, and how to go on."""
     total, n = len(lines), outcome.position.n
