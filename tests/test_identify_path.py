@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -357,6 +358,8 @@ def test_the_command_reads_a_run_of_a_folder_of_results(
 ):
     plan, _, _ = planned()
     write(plan, tmp_path / "out")
+    server = files("planner.link").joinpath("BeadwiseStream.mod").read_text("ascii")
+    (tmp_path / "out" / "BeadwiseStream.mod").write_text(server, "ascii")  # of stream --server
     monkeypatch.chdir(tmp_path)
     written(tmp_path)
     arguments = ["read", "run.csv", str(plan.problem.file), "--plan", "out"]

@@ -32,6 +32,7 @@ from planner.feedback.readings import (
     run_starts,
 )
 from planner.feedback.recordings import DEGREE, RobotLog
+from planner.link.streaming import modules_in
 from planner.plan import Plan
 from planner.problem import Problem
 
@@ -123,7 +124,7 @@ def _of_folder(folder: Path, problem: Problem, cell: Cell) -> PlannedRun:
         raise InputError(
             f"is a plan of {name}", file=folder / "plan.json", hint=f"one of {problem.name}, or another CELL"
         )
-    modules = {path.name: path.read_text(encoding="utf-8", errors="replace") for path in sorted(folder.glob("*.mod"))}
+    modules = {path.name: path.read_text(encoding="utf-8", errors="replace") for path in modules_in(folder)}
     if modules:
         own = cell.as_counted
         return PlannedRun(
