@@ -705,8 +705,22 @@ def test_a_speed_that_steps_are_too_coarse_for_is_told(language: str, monkeypatc
 
 def test_parts_of_a_resumed_print_keep_their_place_in_the_name() -> None:
     assert numbered("TwoBeads", 3, 24) == "TwoBeads_3"
-    assert numbered("AVeryLongNameOfAPrFrom12", 3, 24) == "AVeryLongNameOfAFrom12_3"
-    assert numbered("TWOBEADFROM1", 12, 12) == "TWOBFROM1_12"
+    for name, k, longest, form in (
+        ("AVeryLongNameOfAPrFrom12", 3, 24, r"AVeryLongName\d{3}From12_3"),
+        ("TWOBEADFROM1", 12, 12, r"T\d{3}FROM1_12"),
+        ("TWOBEFROM123", 12, 12, r"T\dFROM123_12"),
+    ):
+        found = numbered(name, k, longest)
+        assert len(found) == longest and re.fullmatch(form, found)
+
+
+def test_programs_whose_names_are_alike_share_no_part() -> None:
+    """Cut to the length of a part's name, both are one: the second one copied would be called by the first, too."""
+    names = ["AerofoilCoreTaperedRevA", "AerofoilCoreTaperedRevB"]
+    first, second = (numbered(name, 1, 24) for name in names)
+    assert first != second and len(first) == len(second) == 24
+    assert first[:19] == second[:19] == "AerofoilCoreTapered" and first[-2:] == "_1"
+    assert first == numbered(names[0], 1, 24) and numbered(names[0], 1, 32) == "AerofoilCoreTaperedRevA_1"
 
 
 def test_speeds_in_steps_never_let_a_bead_run_late() -> None:

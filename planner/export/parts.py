@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TypeVar
+from zlib import crc32
 
 from planner.export.moves import MoveSection
 
@@ -42,11 +43,18 @@ def in_files(sections: Iterable[MoveSection], most: int) -> list[list[MoveSectio
 
 
 def numbered(name: str, k: int, longest: int, separator: str = "_") -> str:
-    """Name of the k-th part of a program, at most `longest` characters; where a print resumes stays in it."""
+    """Name of the k-th part of a program, at most `longest` characters; where a print resumes stays in it.
+
+    In a name that is cut for that, digits stand for all of it: programs of other names have other parts.
+    """
     resumed = re.search(r"(?i)from\d+$", name)
     tail = (resumed[0] if resumed else "") + f"{separator}{k}"
     whole = name[: resumed.start()] if resumed else name
-    return whole[: longest - len(tail)] + tail
+    room = longest - len(tail)
+    if len(whole) <= room:
+        return whole + tail
+    own = f"{crc32(whole.encode()) & 511:03d}"[: max(room - 1, 0)]  # nine bits; a name begins with a letter
+    return whole[: room - len(own)] + own + tail
 
 
 def part_about(lines: Sequence[str], k: int, parts: int) -> list[str]:
