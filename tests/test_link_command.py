@@ -98,6 +98,7 @@ def test_a_print(files: Path, machine: Simulated, capsys: pytest.CaptureFixture[
     for shown in (said.out + said.err, text):
         assert PASSWORD not in shown and HEAD_PASSWORD not in shown
     assert [record["n"] for record in records(files) if record["what"] == "acknowledged"] == list(range(1, 21))
+    assert records(files)[0]["what"] == "plan"
 
 
 def test_a_dry_run_starts_nothing(files: Path, machine: Simulated) -> None:

@@ -18,9 +18,9 @@ from test_link_sockets import Session
 from planner.base.errors import InputError
 from planner.base.results import digest
 from planner.link.command import main
-from planner.link.logged import UNSAID, outcome_of
+from planner.link.logged import UNSAID, outcome_of, plan_in
 from planner.link.program_lines import ProgramLines
-from planner.link.telling import going_on
+from planner.link.telling import for_the_log, going_on
 
 PROGRAM = program()
 TOTAL = len(PROGRAM)
@@ -127,6 +127,14 @@ def test_the_command(tmp_path: Path, whole: Path, capsys: pytest.CaptureFixture[
     assert main([str(made), "--where", str(log)]) == 3
     said = capsys.readouterr().err
     assert "planner.solve 'my cup.yaml' --from-bead 1 --strategy ladder --set layers.count=2\n" in said
+    # since that run the folder has got the plan of the next part
+    note = for_the_log(held | {"problem_file": "cup 17.yaml", "checks": []})
+    ran = {"utc": "2026-11-27T18:15:00.000+00:00", "ms": 1.0, "what": note.what, "n": note.n, "text": note.text}
+    log.write_text("\n".join([json.dumps(ran), *rows[: at + 1]]) + "\n")
+    assert set(json.loads(note.text)) == {"problem", "problem_file", "strategy", "settings"}
+    assert main([str(made), "--where", str(log)]) == 3
+    assert "planner.solve 'cup 17.yaml' --from-bead 1 --strategy ladder" in capsys.readouterr().err
+    assert plan_in(whole) == plan_in(tmp_path / "none.jsonl") == {}
     assert main([str(made), "--where", str(whole)]) == 0
     log.write_text(other_module(whole.read_text()))
     assert main([str(made), "--where", str(log)]) == 2

@@ -32,7 +32,7 @@ from planner.link.connections import (
 from planner.link.ftp import HOME as FTP_HOME
 from planner.link.ftp import PORT as FTP_PORT
 from planner.link.ftp import Ftp
-from planner.link.logged import outcome_of
+from planner.link.logged import outcome_of, plan_in
 from planner.link.messages import stop as stop_words
 from planner.link.orders import listen_at_terminal
 from planner.link.program_lines import ProgramLines, lines_file, read_program_lines
@@ -49,7 +49,7 @@ from planner.link.robot import (
 )
 from planner.link.run import INTERRUPTIONS, Log, RelayRun, Requests, open_board, signals_as
 from planner.link.rws import DIALECTS, USER, Rws
-from planner.link.telling import RunProgress, Show, ending, going_on
+from planner.link.telling import RunProgress, Show, ending, for_the_log, going_on
 
 # ----------------------------------------------------------------------------------------------------
 # The command.
@@ -95,10 +95,12 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
     written = [*(name for name in files if (folder / name).is_file()), lines_file(options.program).name]
     program_as_written(folder, written, options.edited, say)
     problem = _problem_of(files[options.program.name])
-    planned = going_on(read_json(folder / PLAN), problem)
+    plan = read_json(folder / PLAN)
+    planned = going_on(plan, problem)
     if options.where is not None:
         outcome = outcome_of(lines, options.where)
-        for text in ending(lines, outcome, planned):
+        # since the run the folder may have got the plan of another part
+        for text in ending(lines, outcome, going_on(plan_in(options.where) or plan, problem)):
             say(text)
         return _code(outcome)
     secret = options.secret or password(PASSWORD, f"{options.user} at {options.controller}")
@@ -115,7 +117,7 @@ def _run(options: argparse.Namespace, say: Callable[[str], None]) -> int:
             return EXIT_VERIFIED
         requests = stack.enter_context(closing(Requests()))
         hub = stack.enter_context(_hub(options, lines, problem, requests, say))
-        greeted = [LogNote("board", 0, text) for text in greeting]
+        greeted = [for_the_log(plan), *(LogNote("board", 0, text) for text in greeting)]
         log = stack.enter_context(closing(Log(options.log or _log_path(options.program), hub.log, greeted)))
         with _way(options, secret) as way:
             bring(rws, files, hub.say, way)

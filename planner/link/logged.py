@@ -12,6 +12,7 @@ from planner.link.program_lines import ProgramLines
 from planner.link.relay import RunOutcome
 
 LARGEST = 1_000_000_000  # bytes; three records a line
+LONGEST_PLAN = 1_000_000  # characters of the record of a plan: settings that --set gave are in it
 UNSAID = "the log does not say why"
 
 
@@ -52,6 +53,17 @@ def outcome_of(lines: ProgramLines, path: Path) -> RunOutcome:
     if reason is None and not (ended and acknowledged == len(lines)):
         reason = UNSAID
     return RunOutcome(reason, lines.position(acknowledged, received + (1 if ended else 0)), sent, reason is None)
+
+
+def plan_in(path: Path) -> dict[str, Any]:
+    """What the log of a run says of its plan, as plan.json had it; nothing where it does not say."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            record = _record(stream.readline(LONGEST_PLAN))
+        plan: Any = json.loads(record[2]) if record is not None and record[0] == "plan" else {}
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return plan if isinstance(plan, dict) else {}
 
 
 def _other(reason: str, path: Path, line: int) -> InputError:

@@ -25,7 +25,7 @@ from planner.link.telling import RunProgress, duration
 LINES_BEFORE, LINES_AFTER = 4, 8  # lines of the program that are shown around the one at the board
 MOST_LOGGED = 200  # entries of the log that are shown; the file has all
 PREPARING, DONE, STOPPED = "preparing", "done", "stopped"
-_EVERY_LINE = {"received", "sent", "acknowledged"}  # records that the lines themselves show
+_UNSHOWN = {"received", "sent", "acknowledged", "plan"}  # records that the lines show, or the plan itself
 _LIMITS = {"mm": PRIME_MM, "mm_s": PRIME_MM_S, "mm_limits": LENGTHS_MM, "mm_s_limits": SPEEDS_MM_S}
 
 
@@ -134,7 +134,7 @@ class HubPage:
     def log(self, notes: Iterable[LogNote]) -> None:
         """Records of the log; shown with what is told next."""
         for note in notes:
-            if note.what not in _EVERY_LINE:
+            if note.what not in _UNSHOWN:
                 self._add(note.what, note.n, note.text)
 
     def say(self, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import time
 from collections.abc import Callable, Mapping
@@ -16,9 +17,10 @@ from rich.progress import BarColumn, Progress, TextColumn
 from planner.base.results import digest
 from planner.base.shipped import PROBLEMS
 from planner.link.program_lines import NO_BEAD, ProgramLines
-from planner.link.relay import STANDING, RelayState, RunOutcome, RunStatus
+from planner.link.relay import STANDING, LogNote, RelayState, RunOutcome, RunStatus
 
 SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
+OF_PLAN = ("problem", "problem_file", "problem_sha256", "strategy", "settings")  # keys that say how it is planned again
 
 
 @dataclass(frozen=True)
@@ -143,6 +145,11 @@ def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
         return GoingOn(shlex.quote(problem), f" {shlex.join(words)}", problem, known)
     except (KeyError, TypeError):
         return GoingOn(name)
+
+
+def for_the_log(plan: Mapping[str, Any]) -> LogNote:
+    """The record of a run's plan: what `going_on` asks of it, for its folder may have another one by then."""
+    return LogNote("plan", 0, json.dumps({key: plan[key] for key in OF_PLAN if key in plan}))
 
 
 def begun_words(bead: int, planned: GoingOn | None) -> list[str]:
