@@ -441,6 +441,22 @@ def test_joints_and_table_unwind_in_travel_and_never_in_a_bead(
     assert (turns <= 0).all()
 
 
+def test_a_table_that_goes_round_in_every_bead_goes_on(cell: Cell) -> None:
+    """Beads that all go round once, the same way: the table comes back in none of the travels, for its range is 100 turns to
+    both sides; and one that goes round fifty times begins at home."""
+    task, start = helix_task(n=120), cell.home.copy()
+
+    def wound(bead: int, turns: float) -> JointPath:
+        q = np.linspace(start, start + turns * TURN * np.eye(7)[6], len(task))
+        return JointPath(replace(task, bead=bead), np.zeros(len(task)), np.zeros((len(task), 2)), q, 0)
+
+    after = choose_turns(cell, [wound(i, 1.0) for i in range(24)])
+    begins = [path.q[0, 6] for path in after]
+    np.testing.assert_allclose(begins, start[6] + TURN * np.arange(24), rtol=0, atol=1e-9)
+    (alone,) = choose_turns(cell, [wound(0, 50.0)])
+    assert alone.q[0, 6] == pytest.approx(start[6], abs=1e-9)
+
+
 def test_choose_turns_refuses_what_no_turn_brings_inside(cell: Cell) -> None:
     (path,) = made_up_paths(cell, np.random.default_rng(7), 1)
     q = path.q.copy()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import NoReturn
 
 import numpy as np
@@ -352,9 +351,14 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
 
     Turns change in travel alone, never within a bead: that is where a joint unwinds when a limit nears. They are
     chosen by dynamic programming over the beads, for all joints together, since a travel takes as long as its slowest
-    joint. Raises Refusal for a bead along which a joint leaves its range however it is turned.
+    joint. Tried are those near home, and those with which a table that goes round and round need not come back. Raises
+    Refusal for a bead along which a joint leaves its range however it is turned.
     """
-    options = of_each(partial(turns_within, cell), paths)
+
+    def options_of(own: tuple[JointPath, Array]) -> Array:
+        return turns_within(cell, *own)
+
+    options = of_each(options_of, list(zip(paths, _onward(cell, paths), strict=True)))
     limits, na = cell.limits, len(cell.arm)
     home, rate = cell.home, WOUND / limits.velocity
     # the holder waits where the first bead begins, and stays where the last one ends
@@ -377,11 +381,15 @@ def choose_turns(cell: Cell, paths: Sequence[JointPath]) -> tuple[JointPath, ...
     return tuple(turned[::-1])
 
 
-def turns_within(cell: Cell, path: JointPath) -> Array:
-    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home; raises Refusal without any."""
+def turns_within(cell: Cell, path: JointPath, onward: Array | None = None) -> Array:
+    """Whole turns (k, nj) [rad] that keep a path within the joints' ranges, those nearest to home; raises Refusal without any.
+
+    onward (nj): how many whole turns of each joint are among them as well, see `_onward`
+    """
     low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
     least, most = path.q.min(axis=0), path.q.max(axis=0)
     each = []
+    far = np.zeros(len(low), dtype=np.bool_)  # joints whose turns onward are none of those nearest to home
     for j in range(len(low)):
         k = np.arange(np.ceil((low[j] - least[j]) / TURN), np.floor((high[j] - most[j]) / TURN) + 1)
         k = k if cell.limits.turns[j] else k[k == 0]
@@ -389,10 +397,30 @@ def turns_within(cell: Cell, path: JointPath) -> Array:
             worst = int(np.argmax(np.maximum(low[j] - path.q[:, j], path.q[:, j] - high[j])))
             refuse_at(path.task, worst, f"{cell.joint_names[j]} leaves its range here")
         nearest = np.argsort(np.abs(0.5 * (least[j] + most[j]) + k * TURN - cell.home[j]), kind="stable")
-        each.append(k[nearest[:TURNS]] * TURN)
+        taken = k[nearest[:TURNS]]
+        if onward is not None and onward[j] not in taken:
+            far[j], taken = True, np.append(taken, onward[j])
+        each.append(taken * TURN)
     together = np.stack(np.meshgrid(*each, indexing="ij"), axis=-1).reshape(-1, len(low))
-    away = np.abs(0.5 * (least + most) + together - cell.home) @ (1.0 / cell.limits.velocity)
+    off = np.abs(0.5 * (least + most) + together - cell.home)
+    if onward is not None:
+        off = np.where(far, np.minimum(off, np.abs(together - onward * TURN)), off)
+    away = off @ (1.0 / cell.limits.velocity)
     return np.asarray(together[np.sort(np.argsort(away, kind="stable")[:COMBINATIONS])])
+
+
+def _onward(cell: Cell, paths: Sequence[JointPath]) -> list[Array]:
+    """How many whole turns (nj) take each path to where the one before ends, or the first one to home, as nearly as the joints'
+    ranges allow."""
+    low, high = cell.limits.q_min + MARGIN, cell.limits.q_max - MARGIN
+    at, out = cell.home, []
+    for path in paths:
+        fewest = np.ceil((low - path.q.min(axis=0)) / TURN)
+        most = np.floor((high - path.q.max(axis=0)) / TURN)
+        turns = np.where(cell.limits.turns, np.clip(np.round((at - path.q[0]) / TURN), fewest, most), 0.0)
+        out.append(turns)
+        at = path.q[-1] + turns * TURN
+    return out
 
 
 def _slowest(way: Array, limits: Limits, joints: slice) -> Array:
