@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,11 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_resolve import TURN
 
+import planner.resolve.ladder
+import planner.resolve.search
 from planner.base.arrays import Array
 from planner.cell.cell import Cell, Limits
 from planner.problem import Problem
 from planner.resolve.joint_path import MARGIN, SampledTasks, spread
-from planner.resolve.ladder import coarse_nodes
+from planner.resolve.ladder import ClearSearch, coarse_nodes
 from planner.resolve.nodes import Grid, Nodes
 from planner.resolve.prices import (
     DIP_PRICE,
@@ -23,7 +26,15 @@ from planner.resolve.prices import (
     TRAVEL_PRICE,
     TURN_PRICE,
 )
-from planner.resolve.search import JUMP, SPEED_SHARE, Route, best_route, greedy_route
+from planner.resolve.search import (
+    JUMP,
+    SPEED_SHARE,
+    Route,
+    best_route,
+    greedy_route,
+    may_be_counted,
+    turns_counted,
+)
 from planner.toolpath.task import NozzleTask
 
 # --- the search -------------------------------------------------------------------------------------------------
@@ -273,6 +284,26 @@ def test_counted_turns_against_brute_force(counted: tuple[int, ...]) -> None:
         assert route.price == pytest.approx(total.min(), rel=1e-6, abs=1e-5)  # joints are 32 bits
         bound += route.price > free.price * (1 + 1e-6)
     assert bound + refused > 3
+
+
+def test_turns_that_do_not_fit_in_memory_are_not_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is found then is the route that winds the table too far, whose paths are refused by the table's name."""
+    nodes, demand, limits = tiny_ladder(np.random.default_rng(1), periodic=True)
+    turns = turns_counted(nodes, limits, [6])
+    assert turns.number.prod() > 1
+    monkeypatch.setattr(planner.resolve.search, "MOST_LABELLED", nodes.price.size)
+    assert may_be_counted(nodes, turns_counted(nodes, limits, []))
+    assert not may_be_counted(nodes, turns)
+    r = len(nodes.price)
+    route = Route(*np.zeros((3, r), dtype=np.int64), 1.0)
+    monkeypatch.setattr(ClearSearch, "_clear", lambda *_: (route, -1))
+    monkeypatch.setattr(planner.resolve.ladder, "overwound", lambda *_: {6})
+    search = object.__new__(ClearSearch)
+    vars(search).update(
+        _cell=SimpleNamespace(limits=limits), _demand=demand, nodes=nodes, _looked=np.ones(r, dtype=bool), wound=None
+    )
+    assert search.best() == (None, r - 1)
+    assert search.wound is route
 
 
 def test_search_prefers_a_short_travel() -> None:

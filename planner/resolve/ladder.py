@@ -43,6 +43,7 @@ from planner.resolve.search import (
     best_route,
     joint_limits,
     label_turns,
+    may_be_counted,
     turns_counted,
 )
 from planner.resolve.table_path import BINDING, carried, table_path
@@ -180,7 +181,8 @@ class ClearSearch:
         """As `best_route`, on clear nodes, and of routes that wind no joint further along a bead than its range is.
 
         Where a joint winds too far, or would have to be wound up before or back after, its turns are counted, and the search
-        is done again. Where there is no way then, `wound` is the route that winds too far.
+        is done again, if it fits in memory. Where there is no way then, or it does not fit, `wound` is the route that winds too
+        far.
 
         tasks, share: as for `home_travel_costs`, if the ways from and to home have a price; past: with detours in it
         """
@@ -202,6 +204,8 @@ class ClearSearch:
             if not more - counted:
                 return route, stuck
             counted |= more
+            if not may_be_counted(self.nodes, turns_counted(self.nodes, self._cell.limits, sorted(counted))):
+                return (None, len(self._looked) - 1) if over else (route, stuck)
 
     def _clear(self, home: tuple[Array, Array] | None, counted: Sequence[int]) -> tuple[Route | None, int]:
         reach = _REACH

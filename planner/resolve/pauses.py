@@ -16,11 +16,11 @@ from planner.cell.cell import Cell
 from planner.resolve.joint_path import SampledTasks
 from planner.resolve.nodes import Nodes
 from planner.resolve.prices import FAR
-from planner.resolve.search import joint_limits, label_turns, ladder_numbers, search_best, turns_counted
+from planner.resolve.search import joint_limits, label_turns, ladder_numbers, may_be_counted, search_best, turns_counted
 from planner.toolpath.task import NozzleTask
 
 _MOST_COUNTED = 3  # joints whose whole turns are counted at once
-_MOST_LABELS = 4096  # of their turns together: more would not fit in memory
+_MOST_LABELS = 4096  # of their turns together: the search takes as many times as long
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def _fewest(cell: Cell, demand: SampledTasks, nodes: Nodes, may: Flags, room: fl
     counted: list[int] = []
     while len(counted) <= _MOST_COUNTED:
         turns = turns_counted(nodes, cell.limits, counted, room)
-        if turns.number.prod() > _MOST_LABELS:
+        if turns.number.prod() > _MOST_LABELS or not may_be_counted(nodes, turns):
             return None
         labels = label_turns(turns)
         free = np.zeros((*nodes.price.shape[1:], len(labels)))

@@ -600,6 +600,14 @@ def turns_counted(nodes: Nodes, limits: Limits, counted: Sequence[int], room: fl
     return TurnsCounted(np.array(counted, dtype=np.int64), least, number, ends[0], ends[1])
 
 
+MOST_LABELLED = 8e8  # nodes with each of their labels, 4 bytes each: a table that goes round 200 times has 200 labels
+
+
+def may_be_counted(nodes: Nodes, turns: TurnsCounted) -> bool:
+    """Whether a search whose nodes carry these turns fits in memory."""
+    return nodes.price.size * float(np.prod(turns.number, dtype=float)) <= MOST_LABELLED
+
+
 def label_turns(turns: TurnsCounted) -> Ints:
     """The whole turns (labels, m) of the joints whose turns are counted that each label of a node stands for."""
     label, out = np.arange(int(np.prod(turns.number))), []
