@@ -28,7 +28,7 @@ from planner.export.inform import FRAME, YASKAWA, frame_comments
 from planner.export.kawasaki import KAWASAKI
 from planner.export.languages import LANGUAGES
 from planner.export.melfa import MITSUBISHI
-from planner.export.moves import MoveSection, plan_moves, sections
+from planner.export.moves import MoveSection, Wait, plan_moves, sections
 from planner.export.parts import cut, in_files, numbered, packed
 from planner.export.speeds import stepped_speeds
 from planner.export.val3 import STAUBLI
@@ -302,6 +302,20 @@ def test_rests_in_a_bead_are_kept(language: str) -> None:
     assert differences(language, files, plan) == []
     longer = re.sub(pattern, lambda match: match[0].replace("0.50", "0.60"), files[name])
     assert any("wait" in each for each in differences(language, files | {name: longer}, plan))
+
+
+@pytest.mark.parametrize(
+    ("language", "time", "lines"),
+    [
+        ("fanuc", 700.126, ["WAIT   300.00(sec)", "WAIT   300.00(sec)", "WAIT   100.13(sec)"]),
+        ("fanuc", 300.0, ["WAIT   300.00(sec)"]),
+        ("inform", 700.126, ["TIMER T=600.00", "TIMER T=100.13"]),
+        ("inform", 0.004, []),
+    ],
+)
+def test_waits_are_no_longer_than_a_controller_takes(language: str, time: float, lines: list[str]) -> None:
+    moves = SimpleNamespace(waits={0: (Wait("cool", time),)})
+    assert module(language)._rests(moves, 0)[1:] == lines  # behind the remark
 
 
 @pytest.mark.parametrize("language", ARMS)

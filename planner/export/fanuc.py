@@ -35,7 +35,7 @@ from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about
-from planner.export.text import number
+from planner.export.text import in_waits, number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -103,6 +103,7 @@ CM_MIN = 6000.0  # cm/min in a m/s
 FINE, FLY = "FINE", "CNT100"
 DIGITS = 3  # decimals of mm and degrees
 TICK = 0.01  # s: what waits are written to
+LONGEST_WAIT = 300.0  # s: 327.67 are said to be the most, sixteen bits of ticks, one of them for the sign
 
 
 def write(plan: Plan) -> dict[str, str]:
@@ -181,7 +182,7 @@ def _rests(moves: Moves, i: int) -> list[str]:
     waits = moves.waits.get(i, ())
     total = sum(wait.time for wait in waits)
     why = [remark for wait in waits if wait.why for remark in _remarks(wait.why)]
-    return [*why, *([f"WAIT   {total:.2f}(sec)"] if total >= 0.5 * TICK else [])]
+    return [*why, *(f"WAIT   {wait:.2f}(sec)" for wait in in_waits(total, LONGEST_WAIT, TICK))]
 
 
 def _frames(plan: Plan) -> list[str]:

@@ -35,7 +35,7 @@ from planner.export.program import RobotProgram, about
 from planner.export.rapid.text import module_name
 from planner.export.speeds import stepped_speeds
 from planner.export.support import by_bead, output_numbers, outputs_about
-from planner.export.text import number
+from planner.export.text import in_waits, number
 
 if TYPE_CHECKING:
     from planner.plan import Plan
@@ -82,6 +82,7 @@ FRAME = ("X", "Y", "Z", "RX", "RY", "RZ")
 MM, DEGREES = 3, 4  # decimals
 SPEED = 1  # decimals of mm/s
 TICK = 0.01  # s: what waits are written to
+LONGEST_WAIT = 600.0  # s: 655.35 are said to be the most, sixteen bits of ticks
 
 
 def write(plan: Plan) -> dict[str, str]:
@@ -179,7 +180,7 @@ def _rests(moves: Moves, i: int) -> list[str]:
     waits = moves.waits.get(i, ())
     total = sum(wait.time for wait in waits)
     why = [line for wait in waits if wait.why for line in _comments(wait.why)]
-    return [*why, *([f"TIMER T={total:.2f}"] if total >= 0.5 * TICK else [])]
+    return [*why, *(f"TIMER T={wait:.2f}" for wait in in_waits(total, LONGEST_WAIT, TICK))]
 
 
 def _joints(axes: Array) -> list[str]:

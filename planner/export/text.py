@@ -33,6 +33,13 @@ def resting(waits: Iterable[Wait], mark: str, statement: str, indent: int) -> li
     return lines
 
 
+def in_waits(total: float, longest: float, tick: float) -> list[float]:
+    """How long statements wait [s], one behind the other, that wait so long in all, none longer than a controller takes; none of
+    less than half of the `tick` that it counts in."""
+    whole = int(total // longest)
+    return [wait for wait in (*[longest] * whole, total - whole * longest) if wait >= 0.5 * tick]
+
+
 def beyond(found: Iterable[tuple[str, float, float]]) -> list[str]:
     """Which differences (words with a place for the value, value, limit) are beyond their limits, or no number."""
     return [f"{words.format(value)} (limit {limit:.3g})" for words, value, limit in found if not value <= limit]
