@@ -14,6 +14,7 @@ import numpy as np
 from planner.base.arrays import Array, Ints
 from planner.base.compiled import njit
 from planner.base.errors import InputError
+from planner.base.geometry import angles_between
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import Chain
 from planner.problem import Problem
@@ -29,6 +30,7 @@ _FINE, _FINE_OF_TWO = np.radians(0.1), np.radians(1.0)  # steps of a lattice of 
 _WIDE = np.radians(600.0)  # range of an axis that is as good as unbounded along one bead
 _BEADS = 4  # that lean most, along which continuous motions are looked for
 _RUNGS = 400  # of a bead, between which the lattice's angles may change
+_TURN = np.radians(3.0)  # that the normal turns by from most of them to the next, at most: a cell has to do for both
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class LeastLean:
 
     task, sample   where it is
     here           least lean there [rad], whatever the angles of what holds the part
-    along          the least greatest lean [rad] of any continuous motion along all of that bead; never below `here`
+    along          the least greatest lean [rad] of any continuous motion along all of that bead, or some turns of it where it
+                   winds round many times; never below `here`
     """
 
     task: NozzleTask
@@ -186,7 +189,7 @@ def _rotated(axis: Array, angle: Array, vectors: Array) -> Array:
 
 def least_along(holder: Chain, low: Array, high: Array, normals: Array) -> float:
     """The least greatest lean [rad] along a bead with unit normals (n, 3), of any continuous motion of its holder's axes in
-    their ranges, however slow; on a lattice, so a little above it.
+    their ranges, however slow; on a lattice, so a little above it; see `_rungs` for how much of it is looked at.
 
     Holders of more than two axes are taken to follow the least lean of each place.
     """
@@ -202,10 +205,22 @@ def least_along(holder: Chain, low: Array, high: Array, normals: Array) -> float
     up = np.ascontiguousarray(holder.poses(q)[:, 2, :3]).reshape(*(len(each) for each in angles), 3)
     if len(axes) == 1:
         up, round_ = up[:, None], (*round_, False)
-    count = min(len(normals), _RUNGS)
-    some = np.unique(np.append(np.linspace(0, len(normals) - 1, count).astype(np.int64), np.argmax(leans)))
+    some = _rungs(normals, int(np.argmax(leans)))
     cosine = _least_way(np.ascontiguousarray(up), np.ascontiguousarray(normals[some]), *round_)
     return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _rungs(normals: Array, worst: int) -> Ints:
+    """Samples of a bead with unit normals (n, 3) between which the lattice's angles may change: along all of it, or, where it
+    winds round so often that they would be too far apart, around the worst one."""
+    first, last = 0, len(normals) - 1
+    while True:
+        count = min(last + 1 - first, _RUNGS)
+        some = np.unique(np.append(np.linspace(first, last, count).astype(np.int64), worst))
+        turned = angles_between(normals[some[:-1]], normals[some[1:]])
+        if last < first + _RUNGS or float(np.median(turned)) <= _TURN:
+            return some
+        first, last = (first + worst) // 2, (last + worst + 1) // 2
 
 
 def _lattice(low: float, high: float, step: float) -> tuple[Array, bool]:
