@@ -105,6 +105,12 @@ def test_limits_are_the_published_ones(cell: Cell) -> None:
     np.testing.assert_allclose(limits.jerk, 50.0 * limits.acceleration)
 
 
+@pytest.mark.parametrize("turns", [20, 500])
+def test_a_table_may_turn_less_often_than_its_file_says_and_more(turns: int) -> None:
+    limits = built(f"cell.limits={{rotation: {{range_deg: [{-360 * turns}, {360 * turns}]}}}}").limits
+    np.testing.assert_allclose([limits.q_min[6], limits.q_max[6]], [-2.0 * np.pi * turns, 2.0 * np.pi * turns])
+
+
 def test_each_limit_can_be_overridden_by_itself(cell: Cell) -> None:
     own = built(
         "cell.limits={joint_3: {range_deg: [-100, 40]}, joint_5: {speed_deg_s: 90}, "

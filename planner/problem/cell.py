@@ -195,7 +195,8 @@ class CarrierSpec(Section):
 class JointLimitsSpec(Section):
     """Limits of one joint, where the user knows better than the robot's own file; of one that slides in mm."""
 
-    range: Annotated[tuple[float, float], Quantity("deg", -3600, 3600, count=2), INCREASING] | None = key(
+    # a thousand turns: what a table on a slip ring does in a print
+    range: Annotated[tuple[float, float], Quantity("deg", -360_000, 360_000, count=2), INCREASING] | None = key(
         "range_deg", "least and greatest angle [deg]; default: the robot's", None
     )
     speed: Annotated[float, Quantity("deg/s", 0.01, 10_000)] | None = key(
