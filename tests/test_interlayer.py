@@ -8,6 +8,7 @@ import tempfile
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ import planner.planning.pipeline
 from planner.base.arrays import Array, Ints
 from planner.base.errors import InputError
 from planner.export.plan_json import plan_json
-from planner.motion.interlayer import Lags, _longest
+from planner.motion.interlayer import Lags, _longest, lags_of
 from planner.plan import Plan, Trajectory
 from planner.plan.by_layer import AGES, layer_times
 from planner.planning.candidates import _too_slow_for_its_window
@@ -32,7 +33,7 @@ from planner.report.charts import time_charts
 from planner.report.html import write_report
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.contacts import contacts
+from planner.toolpath.contacts import BeadContacts, contacts
 from planner.toolpath.interlayer import ArrangedSurface, _improved, _OneLayer, with_interlayer_order
 from planner.verify.verdict import verify
 
@@ -279,6 +280,16 @@ def test_lags_over_many_layers_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
     found = _longest(n, edges, lags, np.inf)
     assert found is not None
     assert found == pytest.approx(np.add.outer(5.0 * np.arange(layers), [0.0, 1.0]).ravel())
+
+
+def test_a_spiral_that_lies_on_itself_alone_is_not_looked_at_in_time() -> None:
+    """Nothing is asked of when it begins, and one of hours would have millions of instants."""
+    own, step = np.zeros(2, dtype=np.int64), np.full(2, 0.01)
+    touching = BeadContacts(own, own, np.array([0.2, 0.3]), np.array([0.1, 0.2]), step, step)
+    process = SimpleNamespace(interlayer_time=SimpleNamespace(least=20.0, most=120.0))
+    without_times = SimpleNamespace()
+    lags = lags_of(process, SimpleNamespace(beads=(None,)), (without_times,), touching)  # type: ignore[arg-type]
+    assert not len(lags.before) and not len(lags.least)
 
 
 @pytest.mark.slow

@@ -63,6 +63,7 @@ def lags_of(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath]
         edges = np.searchsorted(number[order], np.arange(first, len(toolpath.beads) + 1))
         for path, a, b in zip(timed, edges[:-1], edges[1:], strict=True):
             rows = order[a:b]
+            rows = rows[touching.upper[rows] != touching.lower[rows]]  # a bead on its own earlier turn is as it is
             if len(rows):
                 times, way = _instants(path)
                 ends[k, 0, rows] = np.interp(at[rows] - around[rows], way, times)
@@ -70,7 +71,7 @@ def lags_of(process: ProcessSpec, toolpath: Toolpath, timed: Sequence[TimedPath]
     low, _ = touching.extremes(ends[0, 0] - ends[1, 1])
     _, high = touching.extremes(ends[0, 1] - ends[1, 0])
     upper, lower = touching.pairs.T - first if len(touching) else (np.empty(0, int),) * 2
-    there = (lower >= 0) & (lower < upper)  # a bead on its own earlier turn is as it is
+    there = (lower >= 0) & (lower < upper)
     return Lags(lower[there], upper[there], least - low[there], most - high[there])
 
 
