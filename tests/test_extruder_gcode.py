@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from gcodeparser import parse_gcode_lines
 from solved import solve_alone
 
 from planner.base.errors import InputError
-from planner.export.extruder import FILE, differences, gcode, read_gcode
+from planner.export.extruder import FILE, LONGEST_S, _chunks, differences, gcode, read_gcode
 from planner.motion.extrusion import feed, filament_area
 from planner.plan import Event, Plan
 from planner.problem import load_problem
@@ -229,6 +230,20 @@ def test_an_order_at_another_time_is_found() -> None:
     pause = next(k for k in range(i, 0, -1) if lines[k].startswith("G4"))
     moved = [*lines[:pause], lines[i], *lines[pause:i], *lines[i + 1 :]]
     assert any("off its time" in each for each in gcode_differences(plan, "\n".join(moved) + "\n"))
+
+
+def test_what_flow_differs_by_within_a_step_does_not_add_up_along_a_bead() -> None:
+    """Half a minute, the second half of it 0.4 % slower, which is no step of the flow: as one line it would be 0.03 s of flow
+    behind in the middle, 15 s times half of 0.4 %; of lines of 10 s the second one is, by 5 s times that."""
+    dt, n = 0.02, 1501
+    fed = np.append(0.0, np.cumsum(np.where(np.arange(n - 1) < 750, 1.0, 0.996) * dt))
+    bead = np.zeros(n, dtype=np.int32)
+    t = SimpleNamespace(t=dt * np.arange(n), dt=dt, feed=fed, extruded=fed, bead=bead, events=())
+    cuts, label = _chunks(t)  # type: ignore[arg-type]
+    np.testing.assert_allclose(np.diff(cuts) * dt, LONGEST_S)
+    assert set(label.tolist()) == {0}
+    off = np.abs(np.interp(np.arange(n), cuts, fed[cuts]) - fed).max()
+    assert off == pytest.approx(5.0 * 0.5 * 0.004, rel=1e-6)
 
 
 def test_nothing_comes_before_relative_extrusion() -> None:

@@ -151,6 +151,7 @@ Labels = NDArray[np.int64]
 FILE = "extrusion.gcode"
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
 FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
+LONGEST_S = 10.0  # of one along a bead [s]: what flow differs by within it adds up, and boards pause between them
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
 TAIL_S = 0.01  # block that is repeated where the robot is late [s]: by so much, and some lines, a bead ends behind it
@@ -477,7 +478,9 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
     heads = np.flatnonzero((at == first) | (((at - first) % block == 0) & (label > FIRST_EVENT)))
     mean = np.add.reduceat(moved, heads) / np.diff(np.append(heads, len(moved)))
     level = np.round(mean / max(float(np.abs(mean[label[heads] >= 0]).max(initial=0.0)), 1e-300) / FLOW_STEP)
-    changes = np.concatenate([[True], (np.diff(level) != 0) | (np.diff(label[heads]) != 0)])
+    often = max(1, round(LONGEST_S / (block * t.dt)))
+    long = (label[heads] >= 0) & ((heads - first[heads]) // block % often == 0)
+    changes = long | np.concatenate([[True], (np.diff(level) != 0) | (np.diff(label[heads]) != 0)])
     cuts = heads[changes]
     return np.append(cuts, len(moved)), label[cuts]
 
