@@ -18,7 +18,7 @@ from planner.planning.check_command import examine, is_quick, main
 from planner.planning.estimate import check_memory, estimate
 from planner.planning.pipeline import load, solve
 from planner.problem import Problem
-from planner.problem.by_layer import LayerTimeSpec, PauseSpec
+from planner.problem.by_layer import InterlayerTimeSpec, LayerTimeSpec, PauseSpec
 from planner.problem.mesh_files import read_corners
 from planner.problem.process import ChangeSpec, FibreSpec, StartSpec
 from planner.toolpath import workload
@@ -272,6 +272,8 @@ def test_rests_of_a_print_are_foreseen(drawing_problem: Problem, toolpath: Toolp
     assert rests(start=StartSpec(heat_wait_s=100.0, purge_mm=10.0, purge_speed_mm_s=5.0)) == pytest.approx(102.0)
     assert rests(pauses=(pause,)) == pytest.approx(20.0)
     assert rests(layer_time=layers, pauses=(pause,)) == pytest.approx(600.0 - laying)  # in which the pause is
+    assert rests(interlayer_time=InterlayerTimeSpec(least_s=600.0)) == pytest.approx(600.0 - laying)
+    assert rests(interlayer_time=InterlayerTimeSpec(most_s=600.0)) == 0.0
     assert rests(fibre=FibreSpec(cut_length_mm=1.0, cut_wait_s=2.0)) == pytest.approx(2.0 * len(beads))
     other = replace(toolpath, beads=(replace(beads[0], material="pva"), *beads[1:]))
     assert rests(other, change=ChangeSpec(wait_s=7.0)) == pytest.approx(7.0)

@@ -114,11 +114,13 @@ def mean_speed(process: ProcessSpec, toolpath: Toolpath) -> float:
 
 def resting_time(process: ProcessSpec, toolpath: Toolpath) -> float:
     """How long the robot rests in a print [s], about, before its motion is known: until all is hot, at cuts of fibre, for
-    changes of material, for pauses, and until a layer is cool; not for what lies below a bead to grow old enough."""
+    changes of material, for pauses, and until a layer is cool, or old enough for the next one."""
     beads, layers = toolpath.beads, beads_by_layer(toolpath)
     cuts = 0.0 if process.fibre is None else len(beads) * process.fibre.cut_wait
     changes = sum(before.material != after.material for before, after in pairwise(beads)) * process.change.time
     least = 0.0 if process.layer_time is None else process.layer_time.least
+    if process.interlayer_time is not None and process.interlayer_time.least is not None:
+        least = max(least, process.interlayer_time.least)  # layers are taken to lie on each other
     pauses = {pause.before_layer - 1: pause.time for pause in process.pauses}
     between = 0.0
     for layer, after in pairwise(layers):
