@@ -197,6 +197,24 @@ def test_jumps_split_and_repetitions_are_dropped(spec: Callable[..., WaypointsSp
     assert (error.line, "stands alone" in str(error)) == (14, True)
 
 
+@pytest.mark.parametrize(
+    ("points", "source", "told"),
+    [
+        ([(x, 0) for x in (*range(6), *range(100, 106))], {}, "1 place"),  # dense at both ends of a side alone
+        ([(x, 0) for x in (*range(6), *range(100, 106))], {"split_mm": 50}, ""),
+        ([(x, 0) for x in (*range(50), *range(53, 100))], {}, "1 place"),
+        ([(x, 0) for x in (*range(500), *range(504, 999))], {}, ""),  # 5 mm of 993: less than may be left out
+        ([(x, y) for y in (0, 20) for x in range(20)], {}, ""),  # back to the next row
+    ],
+)
+def test_where_nothing_is_laid_straight_on_is_told(
+    spec: Callable[..., WaypointsSpec], points: list[tuple[int, int]], source: dict[str, int], told: str
+) -> None:
+    found = read_waypoints(spec("".join(f"{x} {y} 0 {UP}\n" for x, y in points), **source))
+    assert len(found.beads) == 2
+    assert [told in note and "where nothing is laid" in note for note in found.notes] == [True] * bool(told)
+
+
 @pytest.mark.parametrize("seed", [16, 55, 64, 77])
 def test_spikes_among_many_corners_are_rounded_within_the_tolerance(seed: int) -> None:
     """Corners that are rounded together are averaged on a grid, whose cells may miss a spike of one waypoint."""

@@ -11,7 +11,7 @@ import re
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -51,6 +51,7 @@ _NAME = re.compile(rf"(.+)_(mm|m|{'|'.join(_UNREAD)})")
 
 FARTHEST = 1e5  # mm: a hall of 100 m
 SPLIT = 3.0  # median steps: a longer one is no step of the path but a way to the next bead
+_STRAIGHT_ON = np.radians(30.0)  # between it and those beside it, up to which it may be one of the path all the same
 SAME_POINT = 0.02  # of the median step: points nearer than this to the one before are the same point again
 SAME_PLACE = 1e-7  # m: so are points nearer than this, whatever the steps; files are rounded to that
 _LOOKED = 1000  # lines by which it is told whether they hold something else than waypoints
@@ -467,7 +468,8 @@ def read_waypoints(spec: WaypointsSpec, where: Complaint | None = None, width: f
     ]  # fmt: skip
     left_out = [f"{spec.name}: {crumbs}"] if crumbs else []
     remark = [f"{spec.name}: {columns.remark}"] if columns.remark else []
-    told = (*_notes(spec.name, columns.unused, repeated, turned), *remark, *left_out)
+    ways = (f"{spec.name}: {each}" for each in _straight_on(parts, split, spec))
+    told = (*_notes(spec.name, columns.unused, repeated, turned), *remark, *left_out, *ways)
     return WaypointFile(tuple(beads), told, lost)
 
 
@@ -582,6 +584,29 @@ def _split(rows: _FileRows, split: float) -> list[_FileRows]:
     """The rows of each bead, in order."""
     step = np.linalg.norm(np.diff(rows.points, axis=0), axis=1)
     return [rows[part] for part in _parts(np.union1d(_changes(rows), np.flatnonzero(step > split) + 1))]
+
+
+def _straight_on(parts: Mapping[int, _FileRows], split: float, spec: WaypointsSpec) -> Iterator[str]:
+    """What to say where nothing is laid because waypoints are farther apart than `split` [m], though one path leads straight on
+    to the next: in a file whose points are dense in bends alone that may be most of what is drawn. Nothing where the file or the
+    problem says where paths end, or where it is less than may be left out."""
+    count, length = 0, 0.0
+    for i, b in parts.items():
+        a = parts.get(i - 1)
+        if a is None or spec.split is not None or b.bead is not None:
+            continue
+        if a.layer is not None and b.layer is not None and a.layer[-1] != b.layer[0]:
+            continue
+        ways = np.diff(np.vstack([a.points[-2:], b.points[:2]]), axis=0)
+        if angles_between(ways[[0, 2]], ways[[1, 1]]).max() <= _STRAIGHT_ON:
+            count, length = count + 1, length + float(np.linalg.norm(ways[1]))
+    if length > spec.crumbs * sum(float(arc_lengths(part.points)[-1]) for part in parts.values()):
+        places = "place" if count == 1 else "places"
+        yield (
+            f"paths go straight on at {count} {places} where nothing is laid, since waypoints are farther apart than "
+            f"{split * 1e3:.3g} mm there, {SPLIT:g} times the usual step: {length * 1e3:,.0f} mm in all; if material belongs "
+            "there, give layers.source.split_mm or a column bead"
+        )
 
 
 def _check_alone(part: _FileRows, split: float, spec: WaypointsSpec) -> None:
