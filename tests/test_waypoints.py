@@ -22,7 +22,7 @@ from planner.problem import Problem, find_problem, load_problem
 from planner.problem.layers import WaypointsSpec
 from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.interpolation import CORNER_TURN, Interpolated, interpolate
+from planner.toolpath.interpolation import CORNER_TURN, Interpolated, _led_on, interpolate
 from planner.toolpath.plane_paths import arc_length
 from planner.toolpath.task import roll_zeros
 from planner.toolpath.waypoints.nearest import ALWAYS, FAR
@@ -379,6 +379,30 @@ def zigzag(passes: int, length: int, pitch: float, step: float = 1e-3) -> Array:
         x = np.arange(length + 1) * step
         rows.append(np.column_stack([x if k % 2 == 0 else x[::-1], np.full(len(x), k * pitch), 0.0 * x]))
     return np.vstack(rows)
+
+
+@pytest.mark.parametrize("ends", [1, 2])
+def test_a_long_step_beside_dense_bends_is_straight(ends: int) -> None:
+    """A wall of 40 mm behind a bend of 20 mm, with waypoints a millimetre apart in bends alone, and two of 1 and 2 mm in line behind
+    it, or another bend. The spline goes on with the curvature of bends: by 40^2 / (64 * 20) = 1.25 mm off, or, of two, 2.5 mm."""
+    angle = np.radians(np.linspace(180.0, 270.0, 32))
+    bend = 20e-3 * np.column_stack([np.cos(angle), 1.0 + np.sin(angle), 0.0 * angle])
+    behind = bend[::-1] * [-1.0, 1.0, 1.0] if ends == 2 else 1e-3 * np.array([[0.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]])
+    points = np.vstack([bend, behind + [40e-3, 0.0, 0.0]])
+    normals = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    path = dense(interpolate(points, normals, TOLERANCE, APART, astray=TOLERANCE))
+    wall = (path[:, 0] > 0.0) & (path[:, 0] < 40e-3)
+    assert np.abs(path[wall, 1]).max() <= TOLERANCE
+
+
+def test_a_long_step_behind_a_dense_arc_is_led_on_along_it() -> None:
+    """Waypoints a millimetre apart and then 40 mm, all on a circle of 100 mm: the way is within 0.03 mm of that, the chord 2 mm off."""
+    angle = np.append(np.linspace(-0.3, 0.0, 31), 0.4)
+    points = 0.1 * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    which, off = _led_on(points, arc_lengths(points), np.zeros(0, dtype=np.int64))
+    assert which.tolist() == [30]
+    middle = points[30:].mean(axis=0) + off[0, 2]
+    assert np.linalg.norm(middle) == pytest.approx(0.1, abs=0.03e-3)
 
 
 @pytest.mark.parametrize("pitch", [0.4e-3, 1e-3, 6e-3])

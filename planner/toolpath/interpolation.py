@@ -41,6 +41,7 @@ _SWING_OUT = 0.15  # of a step: a curve between two waypoints leaves their chord
 _STILL = 2e-5  # m, and 0.1 of a normal: scans wiggle by half of that, and less does no harm, however short the step
 _STILL_NORMAL = 0.1
 _LOOKS = np.linspace(0.0, 1.0, 7)[1:-1]  # places within a step where that is looked at
+_DENSER = 4.0  # times as long as those beside it: from there on a step is looked at for where they lead
 _MOST_CELLS = 8_000_000  # of a grid on which corners are averaged: some 2 GB
 _RESOLVED = 1e-5  # m, third difference of the direction, times the step: below, a sample a waypoint is enough
 _MOST_PER_STEP = 4.0  # samples
@@ -97,18 +98,22 @@ class _Corner:
         return x**5 * (126.0 - x * (420.0 - x * (540.0 - x * (315.0 - 70.0 * x))))
 
 
-def interpolate(points: Array, normals: Array, tolerance: float, apart: float, ends: float = np.inf) -> Interpolated:
+def interpolate(
+    points: Array, normals: Array, tolerance: float, apart: float, ends: float = np.inf, astray: float = np.inf
+) -> Interpolated:
     """Lay a curve through waypoints (m, 3), m at least 2, no two successive ones equal; corners within `tolerance`.
 
     The curve is within a micrometre of every waypoint that is no corner and not beside one, where these lie densely
     enough to be smooth. Its end points are the first and the last waypoint. apart: greatest distance of the source's
     points, less than that between neighbouring passes, so that each point's nearest is on its own pass. ends: greatest
-    distance of samples at the two ends, for what is attached there. All in m: what is smooth is judged in micrometres.
+    distance of samples at the two ends, for what is attached there. astray: how far the curve may be off the way on which those
+    beside a far longer step lead; beyond that such a step is straight, if that is nearer to it. All in m: what is smooth is
+    judged in micrometres.
     Raises TooRough where there is none.
     """
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
     chord, turn = arc_lengths(points), _turns(points)
-    path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN))
+    path, sharp = _calm_spline(chord, np.hstack([points, normals]), np.flatnonzero(turn > CORNER_TURN), astray)
     corners = _round(path, chord, sharp, turn, tolerance)
 
     per_step = np.maximum(_samples_per_step(points, normals, chord, sharp), step / (_LOOSEST * apart))
@@ -225,11 +230,14 @@ def _fewest_per_step(points: Array, normals: Array, chord: Array, sharp: NDArray
     return np.repeat(needed, np.diff(kept))
 
 
-def _calm_spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> tuple[BSpline, NDArray[np.int64]]:
+def _calm_spline(
+    chord: Array, rows: Array, sharp: NDArray[np.int64], astray: float = np.inf
+) -> tuple[BSpline, NDArray[np.int64]]:
     """The spline through all rows, and the waypoints where it has corners: `sharp`, and where it would swing out.
 
     Through points whose distances or directions jump, a spline of high degree swings out between them. Both ends of a
-    step where it does so become corners, until it is calm; a step between two corners is straight.
+    step where it does so become corners, until it is calm; a step between two corners is straight. So do those of a step
+    that is far longer than those beside it, where the spline goes astray [m] of where these lead and straight does less so.
     """
     ends = np.array([0, len(chord) - 1])
     step = np.diff(chord)
@@ -237,16 +245,53 @@ def _calm_spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> tuple[B
         path = _spline(chord, rows, sharp)
         between = np.asarray(path(chord[:-1, None] + step[:, None] * _LOOKS))
         straight = rows[:-1, None] + _LOOKS[:, None] * np.diff(rows, axis=0)[:, None]
-        off = np.linalg.norm((between - straight).reshape(len(step), len(_LOOKS), 2, 3), axis=3).max(axis=1)
+        swing = between - straight
+        off = np.linalg.norm(swing.reshape(len(step), len(_LOOKS), 2, 3), axis=3).max(axis=1)
         turned = np.linalg.norm(np.diff(rows[:, 3:], axis=0), axis=1)
         wild = (off[:, 0] > np.maximum(_SWING_OUT * step, _STILL)) | (
             off[:, 1] > np.maximum(_SWING_OUT * turned, _STILL_NORMAL)
         )
+        if astray < np.inf:
+            long, led = _led_on(rows[:, :3], chord, sharp)
+            along = (np.diff(rows[:, :3], axis=0) / step[:, None])[long, None]
+            aside = swing[long, :, :3] - led
+            aside = aside - (aside * along).sum(axis=2, keepdims=True) * along
+            off_led, off_chord = (np.linalg.norm(each, axis=2).max(axis=1) for each in (aside, led))
+            wild[long] |= (off_led > astray) & (off_led > off_chord)  # where straight is nearer to where it is led
         k = np.flatnonzero(wild)
         more = np.setdiff1d(np.union1d(sharp, np.concatenate([k, k + 1])), ends)
         if len(more) == len(sharp):
             return path, sharp
         sharp = more
+
+
+def _led_on(points: Array, chord: Array, sharp: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+    """Steps (k) that are far longer than the two beside them, at one end or both, and how far off their chords (k, looks, 3) [m]
+    lies a curve that leaves and reaches them as these lead; at an end where they are not so much shorter, as at the other one,
+    mirrored.
+
+    The spline goes on with the bend of dense waypoints: on a straight step behind a bend it swings out by its length squared over
+    32 radii, about.
+    """
+    step = np.diff(chord)
+    slope, k = np.diff(points, axis=0) / step[:, None], np.arange(len(step))
+    calm = np.ones(len(points), dtype=np.bool_)
+    calm[sharp] = False
+    leads, known = [], []
+    for side in (-1, 1):
+        inside = (k + 2 * side >= 0) & (k + 2 * side < len(step))
+        near, far = np.where(inside, k + side, k), np.where(inside, k + 2 * side, k)
+        meet = near if side > 0 else near + 1  # the waypoints where the step meets the near one, and that the far one
+        dense = inside & (_DENSER * np.maximum(step[near], step[far]) <= step) & calm[meet] & calm[meet + side]
+        turn = slope[near] - slope[far]
+        leads.append(slope[near] + (step[near] / (step[near] + step[far]))[:, None] * turn - slope)
+        known.append(dense)
+    before = np.where(known[0][:, None], leads[0], -leads[1])
+    after = np.where(known[1][:, None], leads[1], -leads[0])
+    which = np.flatnonzero(known[0] | known[1])
+    u = _LOOKS[:, None]
+    off = u * (1.0 - u) ** 2 * before[which, None] - u**2 * (1.0 - u) * after[which, None]
+    return which, np.asarray(step[which, None, None] * off)
 
 
 def _spline(chord: Array, rows: Array, sharp: NDArray[np.int64]) -> BSpline:

@@ -309,7 +309,8 @@ def _sizes(path: Waypoints, given: Array | float, curve: Interpolated) -> Array:
 def _curve(problem: Problem, spec: WaypointLayersSpec, path: Waypoints, apart: float, ends: float) -> Interpolated:
     """The curve through a path of waypoints."""
     try:
-        curve = interpolate(path.points, path.normals, problem.process.corner_tolerance, apart, ends)
+        tolerance = problem.process.corner_tolerance
+        curve = interpolate(path.points, path.normals, tolerance, apart, ends, tolerance)
     except TooRough as error:
         raise InputError(
             f"{path.name} is too rough from here on: no smooth curve keeps process.corner_tolerance_mm",
