@@ -126,12 +126,21 @@ def test_no_place_of_a_surface_is_farther_from_a_point_than_is_said() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wide", "near", "far"), [(0.05, 1.4e-3, 4e-3), (0.3, 1.732e-3, 4e-3), (0.7, 1.849e-3, 4.041e-3)]
+    ("height", "width", "wide", "near", "far"),
+    [
+        (0.5e-3, 0.6e-3, 0.05, 1.4e-3, 4e-3),
+        (0.5e-3, 0.6e-3, 0.3, 1.732e-3, 4e-3),
+        (0.5e-3, 0.6e-3, 0.7, 1.849e-3, 4.041e-3),
+        (0.05e-3, 0.1e-3, 0.05, 0.525e-3, 4e-3),  # bears 0.056 mm, 0.375 of what 1.4 mm will do for
+        (0.05e-3, 0.1e-3, 0.12, 0.597e-3, 4e-3),
+    ],
 )
-def test_balls_on_a_large_bed_are_no_larger_than_beads_bear(wide: float, near: float, far: float) -> None:
+def test_balls_on_a_bed_are_no_larger_than_beads_bear(
+    height: float, width: float, wide: float, near: float, far: float
+) -> None:
     """Right beneath the nozzle of the first layer there is a bead's height, and what the rule for the tip lets it lack."""
     bed = wide * np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]], [[0, 0, 0], [1, 1, 0], [0, 1, 0]]], dtype=float)
-    borne = 0.75 * (0.5e-3 + 0.25 * 0.6e-3)
+    borne = 0.75 * (height + 0.25 * width)
     sides = _sides([bed], [np.ones(2, dtype=bool)], borne)
     assert sides == pytest.approx((near, far), rel=1e-3)
     _, spread = merged(split(np.ascontiguousarray(bed * 0.02 / wide), sides[0]), MERGED * sides[0])

@@ -196,6 +196,7 @@ _GRAZED = 0.5
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
+_FINE_ENOUGH = 0.15e-3  # m that a bead bears, for which _FINE will do; near those that bear less it is less
 _MOST = 100_000  # points of either kind, about: more and they stand farther apart,
 _MOST_NEAR = 1_000_000  # near beads so many rather than balls that are larger than beads bear
 _SPREAD = 0.8  # of that side, from which no place is farther than from a corner: of any triangle, corners merged
@@ -374,7 +375,7 @@ def _sides(surfaces: Sequence[Array], near: Sequence[Flags], borne: float) -> tu
     fine, coarse = np.sqrt(areas / (_MOST * CORNER_AREA)).tolist()
     most = math.sqrt((CLEARANCE + borne) ** 2 - CLEARANCE**2) / _SPREAD
     close = max(min(fine, most), math.sqrt(_MOST / _MOST_NEAR) * fine)
-    return max(_FINE, close), max(_COARSE, fine, coarse)
+    return max(_FINE * min(1.0, borne / _FINE_ENOUGH), close), max(_COARSE, fine, coarse)
 
 
 def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Array, Array]:
