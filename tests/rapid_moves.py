@@ -11,7 +11,7 @@ import numpy as np
 TARGET = r"\[\[[^ ;]*?\]\]"
 MOVE = re.compile(
     rf"(MoveJ|MoveL|MoveC|TriggL|TriggC) (?:({TARGET}),)?({TARGET}),(\w+),(?:(trg[\w\\:=]+),)?"
-    r"(fine|z0|z1|z5|z10|zon0_1),tPen\\WObj:=wobjPart;"
+    r"(fine|z0|z1|z5|z10|zon0_1|zon0_02),tPen\\WObj:=wobjPart;"
 )
 ALONG = ("MoveL", "MoveC", "TriggL", "TriggC")  # what lays material
 

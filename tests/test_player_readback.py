@@ -15,7 +15,7 @@ from planner.export.rapid.extruder import flow
 from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.text import ZONES
 from planner.export.rapid.writer import rapid, rapid_files, zones_of
-from planner.export.readback import judge, readback
+from planner.export.readback import ROUNDED, judge, readback
 from planner.export.speeds import TIME_TOLERANCE
 from tests.export_fixtures import demand_plan, make_plan, socket_plan, written_with
 
@@ -224,6 +224,16 @@ def test_what_slows_a_program_down_is_named():
     assert [each.by for each in limited(PROGRAM, play(PROGRAM, weak))] == [ACCELERATION]
 
 
+def turning(turn, size):
+    """Two lines of one size [m] that turn by an angle [deg]."""
+    turned = np.radians(turn)
+    p = size * np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.cos(turned), np.sin(turned), 0.0]])
+    lines = np.ones(2, dtype=bool)
+    return SimpleNamespace(
+        segments=segments(p[:-1], p[1:], p[1:], ~lines), linear=lines, fine=np.array([False, True]), sample=np.arange(2)
+    )
+
+
 @pytest.mark.parametrize(
     ("turn", "size", "zone"),
     [
@@ -236,13 +246,18 @@ def test_what_slows_a_program_down_is_named():
     ],
 )
 def test_zones_are_as_wide_as_lines_and_corners_let_them(turn, size, zone):
-    """Two lines of one size that turn by an angle [deg]; corners are cut by r tan(a / 4)."""
-    turned = np.radians(turn)
-    p = size * np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 0.0], [np.cos(turned), np.sin(turned), 0.0]])
-    lines = np.ones(2, dtype=bool)
-    moves = SimpleNamespace(
-        segments=segments(p[:-1], p[1:], p[1:], ~lines), linear=lines, fine=np.array([False, True]), sample=np.arange(2)
-    )
-    assert zones_of(PLAN, moves) == [zone, "fine"]
+    """Corners are cut by r tan(a / 4)."""
+    assert zones_of(PLAN, turning(turn, size)) == [zone, "fine"]
     if zone != "zon0_1":  # the smallest there is
-        assert min(ZONES[zone], 0.5 * size) * np.tan(0.25 * turned) <= PLAN.problem.program.chord
+        assert min(ZONES[zone], 0.5 * size) * np.tan(0.25 * np.radians(turn)) <= PLAN.problem.program.chord
+
+
+@pytest.mark.parametrize(
+    ("chord", "zone"), [(0.05e-3, "zon0_1"), (0.02e-3, "zon0_1"), (0.0125e-3, "zon0_02"), (0.005e-3, "zon0_02")]
+)
+def test_right_angles_of_fine_programs_have_the_finest_zone(chord, zone):
+    """In zon0_1 the parabola passes 0.035 mm inside, in zon0_02 0.007 mm; twice the chord and 0.005 mm are read back."""
+    program = PLAN.problem.program.model_copy(update={"chord": chord})
+    plan = replace(PLAN, problem=SimpleNamespace(**vars(PLAN.problem) | {"program": program}))
+    assert zones_of(plan, turning(90.0, 4e-3)) == [zone, "fine"]
+    assert 0.25 * ZONES[zone] * np.sqrt(2.0) <= 2.0 * chord + ROUNDED

@@ -101,6 +101,22 @@ def test_bead_height_of_its_own(in_tmp: Path) -> None:
     assert problem.layers.height == pytest.approx(0.0005)
 
 
+@pytest.mark.parametrize(
+    ("height", "given", "chord", "widest"),
+    [
+        (0.5, [], 0.05e-3, 0.1e-3),
+        (0.2, [], 0.05e-3, 0.1e-3),  # a quarter of the height is as much
+        (0.05, [], 0.0125e-3, 0.025e-3),
+        (0.05, ["program.chord_mm=0.03"], 0.03e-3, 0.06e-3),
+    ],
+)
+def test_lines_of_programs_are_finer_where_beads_are_low(
+    in_tmp: Path, height: float, given: list[str], chord: float, widest: float
+) -> None:
+    program = load(TEXT, [f"process.bead.height_mm={height}", *given]).program
+    assert (program.chord, program.widening * program.chord) == pytest.approx((chord, widest))
+
+
 def test_fixed_bed(in_tmp: Path) -> None:
     start, end = TEXT.index("  positioner:"), TEXT.index("  limits:")
     problem = load(TEXT[:start] + "  bed_mm: [560, -93, 290]\n" + TEXT[end:])

@@ -14,8 +14,8 @@ noview or pers proc raise readonly record retry return step sysmodule test then 
 viewonly while with xor
 """
 RAPID_WORDS = frozenset(_RESERVED.split())
-# what programs name themselves: procedures, speeds, triggers, the zone, what serves the socket; and ABB's own data
+# what programs name themselves: procedures, speeds, triggers, zones, what serves the socket; and ABB's own data
 OWN_NAMES = re.compile(
-    r"(main|(start|finish|(home|change|bead)\d+)(part\d+)?|vel\d\w*|(trg|bw)\w*|zon0_1|(tool|wobj|load)0|fine|[vz]\d+)",
+    r"(main|(start|finish|(home|change|bead)\d+)(part\d+)?|vel\d\w*|(trg|bw)\w*|zon0_(1|02)|(tool|wobj|load)0|fine|[vz]\d+)",
     re.IGNORECASE,
 )

@@ -30,7 +30,7 @@ from planner.problem.layers import (
 from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.part import PartSpec
 from planner.problem.process import ProcessSpec, check_board, check_materials
-from planner.problem.settings import STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
+from planner.problem.settings import CHORD_SHARE, STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
 from planner.problem.yaml_file import (
     Keys,
     Override,
@@ -221,6 +221,16 @@ class Problem(Section):
         if isinstance(layers, FaceLayersSpec | AerofoilLayersSpec):
             return resolve.model_copy(update={"published": "fixed_heading"})
         return resolve
+
+    @field_validator("program")
+    @classmethod
+    def _as_fine_as_its_beads(cls, program: ProgramSpec, info: ValidationInfo) -> ProgramSpec:
+        """Lines of the program leave low beads by a share of their height at most, where nothing is said of that."""
+        process = info.data.get("process")
+        if process is None or "chord" in program.model_fields_set:
+            return program
+        finest = CHORD_SHARE * process.bead.height
+        return program.model_copy(update={"chord": finest}) if finest < program.chord else program
 
     def model_post_init(self, context: Any) -> None:
         """Keep the places of the values, which come as the validation's context."""

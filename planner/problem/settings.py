@@ -6,7 +6,7 @@ from ipaddress import AddressValueError, IPv4Address
 from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from planner.base.rapid_names import ARMS, LONGEST_NAME, OWN_NAMES
 from planner.problem.fields import (
@@ -67,6 +67,7 @@ FIRST_PORT, LAST_PORT = 1025, 4999  # ABB, RAPID reference, SocketBind: free for
 # mechanical units of ABB controllers: a positioner, and the arms of a MultiMove system
 POSITIONER = "STN1"
 SECOND_ARM = ARMS[1]
+CHORD_SHARE = 0.25  # of a bead's height, by which lines of programs may leave it where nothing is said; widened, twice
 _ADDRESS = r"^[0-9]{1,3}(\.[0-9]{1,3}){3}$"  # roughly, for editors
 
 
@@ -344,8 +345,11 @@ class ProgramSpec(Section):
         "moves of a RAPID module; a program of more is split into modules that are loaded on the way",
         5000,
     )
-    chord: Annotated[float, Quantity("mm", 0.005, 1)] = key(
-        "chord_mm", "how far a line or an arc of the program may be from the bead that it stands for [mm]", 0.05
+    chord: Annotated[float, Quantity("mm", 0.005, 1)] = Field(
+        0.05,
+        alias="chord_mm",
+        description="how far a line or an arc of the program may be from the bead that it stands for [mm]; default: 0.05, or a "
+        "quarter of process.bead.height_mm where that is less",
     )
     widest_chord: Annotated[float, Quantity("mm", 0.005, 2)] | None = key(
         "widest_chord_mm",

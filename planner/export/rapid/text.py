@@ -21,10 +21,10 @@ PREDEFINED = """abs acos add asin atan base bool break byte clear clock close co
     write"""
 # ABB, RAPID reference, zonedata: radius of the zone of the tool's path [m]
 ZONES = {"fine": 0.0, "z0": 0.3e-3, "z1": 1e-3, "z5": 5e-3, "z10": 10e-3}
-# And our own, for corners that z0 would cut by too much: radius of tool path, and of reorientation, external axes [mm];
-# the same as angles [deg]
-OWN_ZONES = {"zon0_1": "[FALSE,0.1,0.1,0.1,0.01,0.1,0.01]"}
-ZONES["zon0_1"] = 0.1e-3
+# And our own, for corners that z0, or zon0_1, would cut by too much: radius of tool path, and of reorientation, external
+# axes [mm]; the same as angles [deg]
+OWN_ZONES = {"zon0_1": "[FALSE,0.1,0.1,0.1,0.01,0.1,0.01]", "zon0_02": "[FALSE,0.02,0.02,0.02,0.002,0.02,0.002]"}
+ZONES |= {"zon0_1": 0.1e-3, "zon0_02": 0.02e-3}
 LONGEST_STRING = 80
 NOTE = "Note: "  # begins a comment in the header that users should read
 _NOTE = re.compile(rf" {{4}}! {NOTE}(.*)\n {{4}}!   (first .*)\n")

@@ -250,19 +250,24 @@ def zones_of(plan: Plan, moves: Moves) -> list[str]:
     Zones that meet leave no trace of the corner in the speed, and a controller cuts those to half of a move that reach
     beyond (measured on an IRB 6640: z1 among lines of 11 mm costs a third of the speed). Between a joint move and a line
     at most z0: a joint move does not end in the direction of its chord, and a bead may begin or end there. None is
-    larger than the problem has it.
+    larger than the problem has it, and zon0_1 is the least, but where it is cut by more than the widest tolerance.
     """
     reach, bend = corners(moves.segments)
     half, bend = 0.5 * reach[1:], bend[1:]
-    most = corner_tolerance(plan, moves) / np.maximum(np.tan(0.25 * bend), 1e-9)
+    tolerance, program = corner_tolerance(plan, moves), plan.problem.program
+    most = tolerance / np.maximum(np.tan(0.25 * bend), 1e-9)
     sizes, names = zip(*sorted((radius, name) for name, radius in ZONES.items() if radius), strict=True)
-    covering = np.minimum(np.searchsorted(sizes, half * (1.0 - 1e-9)), len(sizes) - 1)
-    within = np.maximum(np.searchsorted(sizes, most, side="right") - 1, 0)
-    usual = np.maximum(np.where(half <= most, covering, np.minimum(within, covering)), 0)
+    least = names.index("zon0_1")
+    covering = np.clip(np.searchsorted(sizes, half * (1.0 - 1e-9)), least, len(sizes) - 1)
+    within = np.maximum(np.searchsorted(sizes, most, side="right") - 1, least)
+    usual = np.where(half <= most, covering, np.minimum(within, covering))
     usual = np.where((names.index("z0") > usual) & (most >= np.minimum(half, ZONES["z0"])), names.index("z0"), usual)
     mixed = np.append(moves.linear[1:], moves.linear[-1]) != moves.linear
     usual = np.where(mixed, np.minimum(usual, names.index("z0")), usual)
-    usual = np.minimum(usual, names.index(plan.problem.program.largest_zone))
+    usual = np.minimum(usual, names.index(program.largest_zone))
+    cut = 0.5 * np.minimum(half, ZONES["zon0_1"]) * np.sin(0.5 * bend)  # by a parabola, as when it is read back
+    deep = (usual == least) & (cut > program.widening * tolerance)
+    usual = np.where(deep, names.index("zon0_02"), usual)
     return ["fine" if fine else names[k] for fine, k in zip(moves.fine.tolist(), usual.tolist(), strict=True)]
 
 
