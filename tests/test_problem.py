@@ -117,6 +117,17 @@ def test_lines_of_programs_are_finer_where_beads_are_low(
     assert (program.chord, program.widening * program.chord) == pytest.approx((chord, widest))
 
 
+@pytest.mark.parametrize(
+    ("width", "given", "tolerance"),
+    [(0.6, [], 0.2e-3), (0.4, [], 0.2e-3), (0.1, [], 0.05e-3), (0.1, ["process.corner_tolerance_mm=0.15"], 0.15e-3)],
+)
+def test_corners_of_narrow_beads_are_rounded_by_half_of_their_width(
+    in_tmp: Path, width: float, given: list[str], tolerance: float
+) -> None:
+    process = load(TEXT, [f"process.bead.width_mm={width}", *given]).process
+    assert process.corner_tolerance == pytest.approx(tolerance)
+
+
 def test_fixed_bed(in_tmp: Path) -> None:
     start, end = TEXT.index("  positioner:"), TEXT.index("  limits:")
     problem = load(TEXT[:start] + "  bed_mm: [560, -93, 290]\n" + TEXT[end:])

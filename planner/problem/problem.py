@@ -29,7 +29,7 @@ from planner.problem.layers import (
 )
 from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.part import PartSpec
-from planner.problem.process import ProcessSpec, check_board, check_materials
+from planner.problem.process import CORNER_SHARE, ProcessSpec, check_board, check_materials
 from planner.problem.settings import CHORD_SHARE, STRATEGY_NAMES, ProgramSpec, ResolveSpec, StrategyName
 from planner.problem.yaml_file import (
     Keys,
@@ -208,6 +208,15 @@ class Problem(Section):
             size = f"{bead.width * 1e3:g} mm wide and {bead.height * 1e3:g} mm high"
             raise refusal(f"a rounded bead cannot be {size}", "at least as wide as high", item="bead")
         return process
+
+    @field_validator("process")
+    @classmethod
+    def _corners_within_the_bead(cls, process: ProcessSpec) -> ProcessSpec:
+        """Corners of narrow beads are rounded by a share of their width at most, where nothing is said of that."""
+        if "corner_tolerance" in process.model_fields_set:
+            return process
+        most = CORNER_SHARE * process.bead.width
+        return process.model_copy(update={"corner_tolerance": most}) if most < process.corner_tolerance else process
 
     @field_validator("resolve")
     @classmethod

@@ -50,6 +50,7 @@ MOTORS: tuple[str, ...] = get_args(MotorName)
 MaterialName = Annotated[str, IDENTIFIER]
 CUT_PAUSE = 0.5  # s; Tawfik et al., section III.B: the cutter, on a fan's output, closes and opens in so long each
 MOST_LINES = 20
+CORNER_SHARE = 0.5  # of a bead's width, by which corners are rounded at most where nothing is said
 KLIPPER_LACKS = ("M42", "M280")  # of the orders that a cut may have
 _COMMAND = r"(M(42|106|107|280)( [A-FH-LO-Z]-?\d{1,6}(\.\d{1,4})?)*|G4 P\d{1,6})"
 _ORDER = re.compile(f"{_COMMAND}( {_COMMAND})*")
@@ -545,8 +546,11 @@ class ProcessSpec(AroundBeadSpec):
     seam: SeamSpec | None = key("seam", "where closed beads begin; default: as far from corners as can be", None)
     skirt: SkirtSpec | None = key("skirt", "lines around the first layer, laid before all others; default: none", None)
     bead: BeadSpec = key("bead", "cross-section of a bead")
-    corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = key(
-        "corner_tolerance_mm", "how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats", 0.2
+    corner_tolerance: Annotated[float, Quantity("mm", 0.01, 5)] = Field(
+        0.2,
+        alias="corner_tolerance_mm",
+        description="how far a rounded corner may leave the drawn one [mm]; finer than an arm repeats; default: 0.2, or half of "
+        "bead.width_mm where that is less",
     )
     chord_tolerance: Annotated[float, Quantity("mm", 0.0005, 1)] = key(
         "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
