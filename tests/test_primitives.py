@@ -22,6 +22,7 @@ from planner.export.moves import (
     corners,
     fit_of,
     plan_moves,
+    run_tolerance,
 )
 from planner.export.primitives import (
     LEAST_CHORD,
@@ -294,6 +295,11 @@ def test_a_brief_bead_is_as_quick_as_planned_whatever_the_least_time(took: float
 
 
 # ---- a plan -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("chord", "most"), [(1e-3, 0.3e-3), (0.05e-3, 0.3e-3), (0.0125e-3, 0.075e-3)])
+def test_runs_are_followed_as_finely_as_their_beads(chord: float, most: float) -> None:
+    assert run_tolerance(chord) == pytest.approx(most)
 
 
 @pytest.mark.parametrize("plan_of", [small_plan, bed_plan])

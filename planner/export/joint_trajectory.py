@@ -14,7 +14,7 @@ from planner.base.arrays import Array, Indices
 from planner.base.errors import InputError
 from planner.export.external import held_axes
 from planner.export.fit import by_samples, thin, to_matrix
-from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, TRAVEL_TOLERANCE, fed_spans
+from planner.export.moves import ANGLE_TOLERANCE, ROUNDING, fed_spans, run_tolerance
 from planner.export.support import by_bead, output_numbers
 from planner.export.text import beyond
 from planner.plan.plan import by_nozzle
@@ -131,10 +131,9 @@ class Nozzle:
     def misfit(self, q: Array, k: Indices) -> Array:
         """The worse of both, in tolerances."""
         off, turned = self.misses(q, k)
-        chord = self._plan.problem.program.chord - ROUNDING
-        out: Array = np.maximum(
-            off / np.where(self._plan.trajectory.deposit[k], chord, TRAVEL_TOLERANCE), turned / ANGLE_TOLERANCE
-        )
+        chord = self._plan.problem.program.chord
+        allowed = np.where(self._plan.trajectory.deposit[k], chord - ROUNDING, run_tolerance(chord))
+        out: Array = np.maximum(off / allowed, turned / ANGLE_TOLERANCE)
         return out
 
 

@@ -239,6 +239,7 @@ SLIDE_TOLERANCE = 0.8e-3  # [m], of axes that slide, likewise
 ANGLE_TOLERANCE = np.radians(0.045)  # of joints and orientation, in languages that name joints or axes [rad]
 TRAVEL_TOLERANCE = 0.3e-3  # [m]; moves that lay nothing against the planned tip path
 TRAVEL_ANGLE_TOLERANCE = np.radians(0.5)
+RUN_CHORDS = 6.0  # times the chord that runs may leave the planned ones by: they begin and end as low as the bead
 
 
 @dataclass(frozen=True)
@@ -435,6 +436,11 @@ def plan_moves(plan: Plan, also: Indices | None = None, fed: Array | None = None
     )
 
 
+def run_tolerance(chord: float) -> float:
+    """How far lines and arcs of run-in and run-out may be from the planned ones [m], by that of lines on beads [m]."""
+    return min(TRAVEL_TOLERANCE, RUN_CHORDS * chord)
+
+
 def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
     """What the lines and arcs of a program follow, and how nearly; rests and filament are those of `plan_moves`."""
     t, program = plan.trajectory, plan.problem.program
@@ -454,7 +460,7 @@ def way_of(plan: Plan, rests: Rests, fed: Array | None = None) -> SampledWay:
         laid=t.deposit.copy(),
         tolerance=np.array(
             [
-                [TRAVEL_TOLERANCE, TRAVEL_ANGLE_TOLERANCE, TRAVEL_ANGLE_TOLERANCE, *others],
+                [run_tolerance(program.chord), TRAVEL_ANGLE_TOLERANCE, TRAVEL_ANGLE_TOLERANCE, *others],
                 [program.chord - ROUNDING, AXIS_TOLERANCE, FREE_TOLERANCE, *others],
             ]
         ),
