@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,6 +47,7 @@ from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import COLUMNS, DeviationField, beads_up_to, left, made_up, read_map
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.verify.as_printed import _over_print
 from planner.verify.scanned import ScannedTop, deviations, scanned_top, still_off
 from planner.verify.verdict import verify
 
@@ -505,6 +508,29 @@ def test_only_what_a_scan_has_added_is_taken_off_a_name(tmp_path: Path) -> None:
     )
     assert drawn_name(own) == own.name
     assert drawn_name(again) == "vase_after_anneal"
+
+
+@pytest.mark.parametrize(
+    ("height", "off", "holds"),
+    [(0.5e-3, 0.09e-3, True), (0.5e-3, 0.11e-3, False), (0.05e-3, 0.02e-3, True), (0.05e-3, 0.03e-3, False)],
+)
+def test_over_the_print_low_beads_are_off_by_half_their_height_at_most(
+    monkeypatch: pytest.MonkeyPatch, height: float, off: float, holds: bool
+) -> None:
+    n = 20
+    s, high = np.linspace(0.0, 3e-3, n), np.full(n, height)
+    high[7] += off
+    bead = SimpleNamespace(layer=SCANNED, s=s, height=np.full(n, height))
+    t = SimpleNamespace(deposit=np.ones(n, dtype=bool), bead=np.zeros(n, dtype=np.int64), s=s, t=s)
+    judged: Any = SimpleNamespace(
+        trajectory=t, toolpath=SimpleNamespace(beads=(bead,)), motion=SimpleNamespace(tip=np.zeros((n, 3)))
+    )
+    spec: Any = SimpleNamespace(after_layer=SCANNED, smoothing=RADIUS)
+    for name, value in (("scanned_top", None), ("normals_along", None), ("over_print", high)):
+        monkeypatch.setattr(f"planner.verify.as_printed.{name}", lambda *_, value=value: value)
+    (check,), metrics = _over_print(judged, spec)
+    assert (check.ok, check.sample) == (holds, 7)
+    assert metrics["over_print_error_max_mm"] == pytest.approx(off * 1e3)
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from planner.verify.checks import DIGITS, Findings, Judged, place
 from planner.verify.scanned import deviations, normals_along, over_print, scanned_top, still_off
 
 OVER_PRINT = 0.1e-3  # m, by which the nozzle may be higher or lower over the print than its bead is high
+OVER_LOW = 0.5  # of that height, likewise: of lower beads no more, as beads may be pressed or be made higher
 _LOOKS = 4000  # places of the first layer above
 _MAP_SHARE = 0.1  # of those, at least, that measured places of the map lie around: beads may bridge what lies beneath
 
@@ -55,18 +56,18 @@ def _over_print(judged: Judged, spec: AsPrintedSpec) -> tuple[list[Check], dict[
     high = over_print(scanned_top(spec), judged.motion.tip[at], normals_along(judged.toolpath, t, at), spec.smoothing)
     bead = np.array([np.interp(t.s[k], beads[t.bead[k]].s, beads[t.bead[k]].height) for k in at])
     known = ~np.isnan(high)
-    off = np.where(known, np.abs(high - bead), 0.0)
-    i = int(np.argmax(off))
+    off, most = np.where(known, np.abs(high - bead), 0.0), np.minimum(OVER_PRINT, OVER_LOW * bead)
+    i = int(np.argmax(off / most))
     seen = float(known.mean())
-    ok = bool(off[i] <= OVER_PRINT * (1.0 + DIGITS)) and seen >= _MAP_SHARE
+    ok = bool(off[i] <= most[i] * (1.0 + DIGITS)) and seen >= _MAP_SHARE
     where = place(t, int(at[i])) if seen >= _MAP_SHARE else f"{seen:.0%} of the layer have measured places around"
     worst = Check(
         "nozzle over the print",
         float(off[i]) * 1e3,
-        OVER_PRINT * 1e3,
+        float(most[i]) * 1e3,
         "mm off the bead's height",
         ok,
         where,
         sample=int(at[i]),
     )
-    return [worst], {"over_print_error_max_mm": float(off[i]) * 1e3}
+    return [worst], {"over_print_error_max_mm": float(off.max()) * 1e3}
