@@ -282,6 +282,18 @@ def test_lost_beads_and_layers(name: str) -> None:
     assert LEFT in failed(found(problem, toolpath, [cut, *toolpath.beads[1:]]))
 
 
+def test_a_line_that_is_lost_among_narrow_beads(tmp_path: Path) -> None:
+    """Lines 0.2 mm apart, of beads 0.1 mm wide: those beside it are no print of the one that is not there."""
+    lines = ", ".join(f"{{degree: 1, points_mm: [[-1.5, {0.2 * k:.1f}], [1.5, {0.2 * k:.1f}]]}}" for k in range(5))
+    text = BASE.replace("speed_mm_s: 40", "speed_mm_s: 5").replace("0.6, height_mm: 0.5", "0.1, height_mm: 0.05")
+    text += f"part: {{plane: {{size_mm: [20, 20]}}}}\nlayers: {{source: {{curves: [{lines}]}}, project: z, "
+    (tmp_path / "fine.yaml").write_text(text + "count: 1, height_mm: 0.05}\n")
+    problem = load_problem(tmp_path / "fine.yaml")
+    toolpath = build_toolpath(problem)
+    assert LEFT not in failed(found(problem, toolpath))
+    assert LEFT in failed(found(problem, toolpath, [*toolpath.beads[:2], *toolpath.beads[3:]]))
+
+
 def test_what_is_left_out_is_in_a_layer_counted_from_one() -> None:
     problem, toolpath = print_of("ball")
     lost = max((bead for bead in toolpath.beads if bead.layer == 1), key=lambda bead: bead.length)

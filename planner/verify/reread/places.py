@@ -13,6 +13,7 @@ from planner.plan import Check
 from planner.verify.checks import DIGITS, EVERYWHERE, Judged, place
 
 APART = 0.2e-3  # m between the places of a bead, and of what is drawn, that are looked at
+_OF_WIDTH = 0.5  # of a bead's width between its places at most, lest the lines beside a lost one count as it
 OFF_LEVEL = 2e-5  # m: layers off their height, what interpolation between waypoints and the tip's own tolerance add
 SHORT = 0.001  # of the length, besides what may be left out: ends of pieces and rounded corners
 _CORNERS = 0.005  # of a layer, besides what may be left out: beside rounded turns and narrow ends
@@ -48,7 +49,7 @@ def places_of(judged: Judged) -> Places:
     """Samples of beads, no nearer to each other than need be."""
     t, motion = judged.trajectory, judged.motion
     at = np.flatnonzero(t.deposit)
-    step = np.floor(t.s[at] / APART)
+    step = np.floor(t.s[at] / _apart(judged))
     kept = np.ones(len(at), dtype=bool)
     same = t.bead[at][1:] == t.bead[at][:-1]
     kept[1:] = ~same | (step[1:] != step[:-1])
@@ -59,9 +60,14 @@ def places_of(judged: Judged) -> Places:
     return Places(judged.drawn_tip[at], -motion.axis[at], t.bead[at].astype(np.int64), layers[t.bead[at]], at)
 
 
+def _apart(judged: Judged) -> float:
+    """How far apart places of a bead are to be, at most [m]."""
+    return min(APART, _OF_WIDTH * judged.problem.process.bead.width)
+
+
 def between(judged: Judged) -> float:
     """How far apart places of the motion may be [m], and the ends of a bead from the first and the last of them."""
-    return max(APART, float(judged.commanded.max()) * judged.trajectory.dt)
+    return max(_apart(judged), float(judged.commanded.max()) * judged.trajectory.dt)
 
 
 def begun_layers(judged: Judged) -> set[int]:
