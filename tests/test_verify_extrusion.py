@@ -469,6 +469,11 @@ def load_problem_with(*changes: str) -> Problem:
         return load_problem(write_small(Path(folder)), changes)
 
 
+@pytest.mark.parametrize(("width", "ends"), [(4e-3, 2e-3), (0.5e-3, 2e-3), (0.1e-3, 0.4e-3)])
+def test_less_is_left_unjudged_of_narrow_beads_of_a_switched_motor(width: float, ends: float) -> None:
+    assert material.switched_ends(width) == pytest.approx(ends)
+
+
 @pytest.mark.slow
 def test_a_dip_of_a_switched_motor_is_caught() -> None:
     """A print at speed everywhere passes; the same motion with a rest in the middle of a bead does not."""

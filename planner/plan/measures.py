@@ -228,7 +228,7 @@ METRICS: dict[str, Measure] = {
         "",
         "how far the material in a millimetre of a bead is off what it holds, at most",
         "what leaves the nozzle, lag included, over each millimetre, as a share; not in the lag zone, and with on_off not in "
-        "a bead's first and last 2 mm",
+        "a bead's first and last 2 mm, or four widths of a bead narrower than 0.5 mm",
     ),
     "even_flow_fraction": Measure(
         "",

@@ -101,7 +101,8 @@ class ExtruderSpec(Section):
     )
     flow_tolerance: Annotated[float, Quantity("", 0.005, 10)] = key(
         "flow_tolerance",
-        "with on_off, by what share a millimetre of a bead may have more or less than it holds, off its first and last 2 mm",
+        "with on_off, by what share a millimetre of a bead may have more or less than it holds, off its first and last 2 mm, or "
+        "four widths of a bead narrower than 0.5 mm",
         0.1,
     )
 

@@ -26,7 +26,8 @@ Samples = NDArray[np.intp]
 
 EXTRUSION_TOLERANCE = 1e-3  # of the volume
 PER_MILLIMETRE = 5e-3  # of what a millimetre of the bead holds
-SWITCHED_ENDS = 2e-3  # m at both ends of a bead that are not judged where a motor is only switched
+SWITCHED_ENDS = 2e-3  # m at both ends of a bead that are not judged where a motor is only switched,
+SWITCHED_WIDTHS = 4.0  # or times the width of narrow ones, of which as much would be all that there is
 MILLIMETRE = 1e-3  # m: stretch of a bead that is weighed
 RESOLVED = 4  # samples that a stretch lasts at least: fewer do not tell how much lies in it
 STEPS = 4  # places in a stretch at which the next one begins
@@ -85,6 +86,11 @@ def volume_of(bead: Bead, process: ProcessSpec) -> Volume:
     return Volume(bead.s, area, np.concatenate([[0.0], np.cumsum(pieces)]))
 
 
+def switched_ends(width: float) -> float:
+    """How much of a bead of some width [m] is not judged at both ends where a motor is only switched [m]."""
+    return min(SWITCHED_ENDS, SWITCHED_WIDTHS * width)
+
+
 def extrusion(judged: Judged) -> Findings:
     """Material flows while beads are laid and at no other time, as much as they hold; the motor pushes that much."""
     problem, t, samples = judged.problem, judged.trajectory, judged.samples
@@ -94,7 +100,8 @@ def extrusion(judged: Judged) -> Findings:
     drawn, pushed = _drawn(t, volumes, samples), _pushed(t.t, t.events)
     pressed = _pressed(t.feed - pushed, filament_areas(problem, t.events, t.t)) + drawn
     switched = process.extruder.motor == "on_off"
-    flow = _per_millimetre(judged, volumes, _leaving(pressed, t.dt, lag), SWITCHED_ENDS if switched else 0.0)
+    ends = switched_ends(process.bead.width) if switched else 0.0
+    flow = _per_millimetre(judged, volumes, _leaving(pressed, t.dt, lag), ends)
     near = _near_ends(t, lag)
     checks: list[Check] = []
     metrics: dict[str, float] = {}
