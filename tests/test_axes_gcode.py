@@ -105,8 +105,8 @@ def fibre() -> Plan:
     return solve_alone(load_problem(small_problem().file, changes))
 
 
-def on(plan: Plan, machine: MachineSpec) -> Plan:
-    program = plan.problem.program.model_copy(update={"machine": machine})
+def on(plan: Plan, machine: MachineSpec, **more: Any) -> Plan:
+    program = plan.problem.program.model_copy(update={"machine": machine, **more})
     problem = plan.problem.model_copy(update={"program": program})
     problem.model_post_init(plan.problem._source)
     return replace(plan, problem=problem)
@@ -556,6 +556,15 @@ def test_a_spoilt_program_is_found(what: str) -> None:
     pattern, change, difference = SPOILT[what]
     plan, text = written("trunnion")
     assert any(difference in each for each in axes_differences(plan, swapped(text, pattern, change)))
+
+
+def test_a_program_of_finer_lines_is_held_to_these() -> None:
+    """0.03 mm along the nozzle are across the path: more than a chord of 0.0125 mm, and less than the usual one."""
+    plan = on(cap(), spec("trunnion"), chord=0.0125e-3)
+    text = axes_gcode(plan)
+    assert axes_differences(plan, text) == []
+    off = swapped(text, r"( Z)(-?\d+\.\d+)", lambda m: f"{m[1]}{float(m[2]) + 0.03:.4f}")
+    assert any("path" in each for each in axes_differences(plan, off))
 
 
 @pytest.mark.parametrize(

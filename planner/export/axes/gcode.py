@@ -448,7 +448,6 @@ def _words(statement: Statement, motions: str) -> dict[str, float]:
 # ----------------------------------------------------------------------------------------------------
 # Check of what was read against the plan: nozzle, filament, times and orders.
 
-PATH = 0.05e-3  # m
 LEAN = np.radians(0.1)
 ROUNDED = 1e-6  # m
 STANDS = 1e-6  # m; a shorter line is rounding, and does not tell where on it the tip is
@@ -470,7 +469,8 @@ def differences(plan: Plan, files: Mapping[str, str]) -> list[str]:
     if not isinstance(machine, PoseMachine):
         first, last = above(plan)
         tip[:first], quat[:first], tip[last:], quat[last:] = tip[first], quat[first], tip[last], quat[last]
-    found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit)
+    near = plan.problem.program.chord
+    found = _moved(machine, program, tip, quat, station, t.t - t.t[0], t.deposit, near)
     found += _beyond_reach(machine, program)
     found += _fed(plan, program)
     found += _order_differences(plan, program)
@@ -487,8 +487,9 @@ def _moved(
     station: Array,
     clock: Array,
     laid: NDArray[np.bool_],
+    near: float,
 ) -> list[str]:
-    """Where the program's lines leave the path, its directions, its times or the part's axes."""
+    """Where the program's lines leave the path by more than `near` [m], its directions, its times or the part's axes."""
     k = len(machine.letters)
     places = machine.tip(program.straight, program.turning[:, :k])
     arcs = _ways(machine, program, places)
@@ -510,7 +511,7 @@ def _moved(
         nearer = off < best - 1e-9
         best = np.where(nearer, off, best)
         lean = np.where(nearer, machine.leaning(turning[:, :k], quat), lean)
-        late = np.where(off <= PATH, np.minimum(late, np.abs(program.time[a] + u * lasts - clock)), late)
+        late = np.where(off <= near, np.minimum(late, np.abs(program.time[a] + u * lasts - clock)), late)
         off_station = np.abs(turning[:, k:] - station).max(axis=1, initial=0.0)
         shifted = np.where(nearer, off_station, shifted)
     at = np.clip(np.searchsorted(clock, program.time), 1, len(clock) - 1)
@@ -521,8 +522,8 @@ def _moved(
         astray = np.minimum(astray, np.linalg.norm(lerp(tip, b - 1, b, u) - places, axis=1))
     return beyond(
         [
-            ("the tip is {:.3g} m off its path", float(best.max()), PATH),
-            ("a target is {:.3g} m off the path", float(astray.max()), PATH),
+            ("the tip is {:.3g} m off its path", float(best.max()), near),
+            ("a target is {:.3g} m off the path", float(astray.max()), near),
             ("the nozzle leans {:.3g} rad from its direction", float(lean.max()), LEAN),
             ("what moves the part is {:.3g} rad off", float(shifted.max()), LEAN),
             ("the tip is {:.3g} s off its time", float(late[laid].max(initial=0.0)), LATE),
