@@ -128,6 +128,10 @@ def test_corners_of_narrow_beads_are_rounded_by_half_of_their_width(
     assert process.corner_tolerance == pytest.approx(tolerance)
 
 
+def test_a_mandrel_may_be_thinner_than_two_millimetres(in_tmp: Path) -> None:
+    assert load(swap("radius_mm: 34", "radius_mm: 0.75")).part.cylinder.radius == pytest.approx(0.75e-3)
+
+
 def test_fixed_bed(in_tmp: Path) -> None:
     start, end = TEXT.index("  positioner:"), TEXT.index("  limits:")
     problem = load(TEXT[:start] + "  bed_mm: [560, -93, 290]\n" + TEXT[end:])
@@ -299,19 +303,19 @@ MISTAKES: list[tuple[str, str, int, str, str, str]] = [
     ("robot: irbp_a250", "robto: irbp_a250", 7, "cell.positioner.robto", "unknown key", "did you mean robot?"),
     ("    height_mm: 100\n", "", 15, "part.cylinder.height_mm", "is missing", "height [mm]"),
     ("name: test_1", "# nothing", 2, "name", "is missing", "name of the problem"),
-    ("radius_mm: 34", 'radius_mm: "34"', 16, "part.cylinder.radius_mm", "text '34'", "1 to 2000 mm, without quotes"),
-    ("radius_mm: 34", "radius_mm: true", 16, "part.cylinder.radius_mm", "not true", "valid: 1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm:", 16, "part.cylinder.radius_mm", "not nothing", "valid: 1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: [34]", 16, "part.cylinder.radius_mm", "not a list", "valid: 1 to 2000 mm"),
+    ("radius_mm: 34", 'radius_mm: "34"', 16, "part.cylinder.radius_mm", "text '34'", "0.1 to 2000 mm, without quotes"),
+    ("radius_mm: 34", "radius_mm: true", 16, "part.cylinder.radius_mm", "not true", "valid: 0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm:", 16, "part.cylinder.radius_mm", "not nothing", "valid: 0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: [34]", 16, "part.cylinder.radius_mm", "not a list", "valid: 0.1 to 2000 mm"),
     ("radius_mm: 34", "radius_mm: 1_000", 16, "part.cylinder.radius_mm", "text '1_000'", "without quotes"),
-    ("radius_mm: 34", "radius_mm: .nan", 16, "part.cylinder.radius_mm", "finite", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: -.inf", 16, "part.cylinder.radius_mm", "finite", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: 1e999", 16, "part.cylinder.radius_mm", "finite", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: " + "9" * 9000, 16, "part.cylinder.radius_mm", "finite", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: 0x" + "f" * 9000, 16, "part.cylinder.radius_mm", "finite", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: 0", 16, "part.cylinder.radius_mm", "0 mm is too small", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: -34", 16, "part.cylinder.radius_mm", "-34 mm is too small", "1 to 2000 mm"),
-    ("radius_mm: 34", "radius_mm: 1e6", 16, "part.cylinder.radius_mm", "too large", "1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: .nan", 16, "part.cylinder.radius_mm", "finite", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: -.inf", 16, "part.cylinder.radius_mm", "finite", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: 1e999", 16, "part.cylinder.radius_mm", "finite", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: " + "9" * 9000, 16, "part.cylinder.radius_mm", "finite", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: 0x" + "f" * 9000, 16, "part.cylinder.radius_mm", "finite", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: 0", 16, "part.cylinder.radius_mm", "0 mm is too small", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: -34", 16, "part.cylinder.radius_mm", "-34 mm is too small", "0.1 to 2000 mm"),
+    ("radius_mm: 34", "radius_mm: 1e6", 16, "part.cylinder.radius_mm", "too large", "0.1 to 2000 mm"),
     ("[633.5, 9.87, 380]", "[633.5, 9.87, 100001]", 8, "cell.positioner.origin_mm", "number 3", "-100000 to 100000"),
     ("[633.5, 9.87, 380]", "[633.5, 9.87]", 8, "cell.positioner.origin_mm", "3 numbers, not of 2", "mm"),
     ("[633.5, 9.87, 380]", "[1, x, 3]", 8, "cell.positioner.origin_mm", "number 2 must be a number", "mm"),
@@ -518,7 +522,7 @@ def test_the_first_of_several_mistakes_and_how_many_more(in_tmp: Path) -> None:
     text = TEXT.replace("count: 10", "count: 0").replace("radius_mm: 34", "radius_mm: 0").replace("greedy", "greed")
     error = refused(text)
     assert (error.line, error.field) == (16, "part.cylinder.radius_mm")
-    assert error.hint == "valid: 1 to 2000 mm; 2 more mistakes in this problem"
+    assert error.hint == "valid: 0.1 to 2000 mm; 2 more mistakes in this problem"
     assert str(refused(text.replace("greed", "greedy"))).endswith("; 1 more mistake in this problem)")
 
 

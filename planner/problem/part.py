@@ -14,8 +14,8 @@ from planner.problem.yaml_file import describe
 class CylinderSpec(Section):
     """An upright cylinder, standing on the part frame's xy plane."""
 
-    radius: Annotated[float, Quantity("mm", 1, 2000)] = key("radius_mm", "radius [mm]")
-    height: Annotated[float, Quantity("mm", 1, 10_000)] = key("height_mm", "height [mm]")
+    radius: Annotated[float, Quantity("mm", 0.1, 2000)] = key("radius_mm", "radius [mm]")
+    height: Annotated[float, Quantity("mm", 0.1, 10_000)] = key("height_mm", "height [mm]")
     centre: Annotated[tuple[float, float], Quantity("mm", -10_000, 10_000, count=2)] = key(
         "centre_mm", "its axis in the part frame, x and y [mm]", (0, 0)
     )
@@ -24,7 +24,7 @@ class CylinderSpec(Section):
 class SphereSpec(Section):
     """A ball; where it reaches below the bed, it is a dome."""
 
-    radius: Annotated[float, Quantity("mm", 1, 5000)] = key("radius_mm", "radius [mm]")
+    radius: Annotated[float, Quantity("mm", 0.1, 5000)] = key("radius_mm", "radius [mm]")
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
 
 
@@ -61,7 +61,7 @@ class CorrugationSpec(Section):
 class EllipsoidSpec(Section):
     """An upright ellipsoid; where it reaches below the bed, it is a dome, such as a bowl turned upside down."""
 
-    radii: Annotated[Vector, Quantity("mm", 1, 5000, count=3)] = key("radii_mm", "half axes along x, y and z [mm]")
+    radii: Annotated[Vector, Quantity("mm", 0.1, 5000, count=3)] = key("radii_mm", "half axes along x, y and z [mm]")
     centre: Position = key("centre_mm", "its centre in the part frame [mm]", (0, 0, 0))
 
 
