@@ -473,6 +473,7 @@ def test_what_is_told() -> None:
     assert rounded[1] == "0.350–0.650" and float(rounded[2].split("–")[0]) == pytest.approx(low / own, abs=6e-3)
     assert "are left on the last layer" in remains(mapped(), heights, 0.15e-3)
     assert "made up for to 0.1 mm" in remains(mapped(), [(k, 0.5e-3) for k in range(3, 15)], 0.15e-3)
+    assert "made up for to 0.025 mm" in remains(mapped(), [(k, 0.05e-3) for k in range(3, 15)], 0.15e-3)
 
 
 def test_why_cells_are_interpolated_is_told() -> None:

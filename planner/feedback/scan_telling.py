@@ -25,7 +25,7 @@ from planner.toolpath.bead import Bead, Toolpath
 MAP, PICTURE = "height_map.csv", "height_map.png"
 MORE_COLUMNS = ("smoothed_mm", "how", "points", "scatter_mm", "bead", "s_mm")
 MEASURED, INTERPOLATED = "measured", "interpolated"
-GOOD = 0.1e-3  # m: less is not told as left over
+GOOD, GOOD_SHARE = 0.1e-3, 0.5  # m, and of the lowest layer's height: less is not told as left over
 _COLOURS = "RdBu_r"  # red is too high, blue too low
 _FACING = 0.3  # least cosine of all normals and their mean, from which on a map is drawn as seen from there
 _GREY, _INK = "#5b6b7b", "#1b2733"
@@ -130,15 +130,20 @@ def table_of(
     return out
 
 
+def _good(heights: Sequence[tuple[int, float]]) -> float:
+    """What is not told as left over [m] on layers, by their numbers and heights [m]."""
+    return min([GOOD, *(GOOD_SHARE * height for _, height in heights)])
+
+
 def remains(found: HeightMap, heights: Sequence[tuple[int, float]], most: float) -> str:
     """What the bounds leave uncorrected on the last layer, in a sentence."""
-    rest = np.abs(left(found.smoothed, most, len(heights)))
-    share = float((rest > GOOD).mean())
+    rest, good = np.abs(left(found.smoothed, most, len(heights))), _good(heights)
+    share = float((rest > good).mean())
     if share == 0.0:
-        done = next(k for k in range(len(heights) + 1) if np.abs(left(found.smoothed, most, k)).max() <= GOOD)
-        return f"made up for to {GOOD * 1e3:g} mm from layer {heights[0][0] + max(done - 1, 0)} on"
+        done = next(k for k in range(len(heights) + 1) if np.abs(left(found.smoothed, most, k)).max() <= good)
+        return f"made up for to {good * 1e3:g} mm from layer {heights[0][0] + max(done - 1, 0)} on"
     return (
-        f"not made up for: {rest.max() * 1e3:.3f} mm are left on the last layer, more than {GOOD * 1e3:g} mm on {share:.0%} of it; "
+        f"not made up for: {rest.max() * 1e3:.3f} mm are left on the last layer, more than {good * 1e3:g} mm on {share:.0%} of it; "
         f"a bead may change by {most * 1e3:g} mm (--share)"
     )
 
@@ -202,7 +207,7 @@ def _draw_layers(
     rest = [np.abs(left(found.smoothed, most, k)) * 1e3 for k in range(len(numbers))]
     for share, style, label in ((1.0, "-", "at most"), (0.95, "--", "95 % of the cells"), (0.5, ":", "half of them")):
         ax.plot(numbers, [np.quantile(each, share) for each in rest], style, marker="o", color="#0072b2", label=label)
-    ax.axhline(GOOD * 1e3, color=_GREY, linewidth=0.8)
+    ax.axhline(_good(heights) * 1e3, color=_GREY, linewidth=0.8)
     ax.set_xticks(numbers[:: max(1, len(numbers) // 10)])
     ax.set_ylim(bottom=0.0)
     ax.set_xlabel("layer")
