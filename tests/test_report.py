@@ -34,10 +34,11 @@ from planner.report.failure import write_failure_report
 from planner.report.html import _command, _header, write_report
 from planner.report.judged import DEAREST, HEADLINES, MARGINS, judged
 from planner.report.places import MOST_MARKS, MOST_ROWS, check_advice, worst_samples
-from planner.report.scene import plan_scene
+from planner.report.scene import part_data, plan_scene
 from planner.report.summary import print_summary
 from planner.report.thinning import CURVE_BUDGET, SCENE_BUDGET, keep_minima, runs, stretches, thin_curve
 from planner.report.wording import FARTHEST, GROUPS, METRICS, distance, duration, number, significant, with_ratios
+from planner.toolpath.bead import Shape
 from planner.verify.checks import FAR
 
 MB = 1_000_000
@@ -193,6 +194,15 @@ def test_the_part_is_drawn_where_it_is() -> None:
     assert (x[:, 2].min(), x[:, 2].max()) == pytest.approx((0.0, 0.1), abs=2e-4)
     reach = np.hypot(*(x[:, :2] - CENTRE).T)
     assert 0.99 * RADIUS < reach[x[:, 2] == 0.0].min() < RADIUS - 1e-4, "a hair inside the first layer"
+
+
+@pytest.mark.parametrize(("height", "sunk"), [(0.5e-3, 0.15e-3), (0.05e-3, 0.025e-3)])
+def test_the_part_is_drawn_smaller_by_less_than_a_low_bead(height: float, sunk: float) -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    shape = Shape(corners, np.tile([0.0, 0.0, 1.0], (3, 1)), np.array([[0, 1, 2]]))
+    bead: Any = SimpleNamespace(height=np.full(4, height))
+    part = part_data(shape, [bead])
+    assert part is not None and part["points"].reshape(-1, 3)[:, 2] == pytest.approx(-sunk)
 
 
 # ---- dips --------------------------------------------------------------------------------------------------------

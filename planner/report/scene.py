@@ -24,19 +24,26 @@ if TYPE_CHECKING:
 # ----------------------------------------------------------------------------------------------------
 # The part's surface.
 
-SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer is not half sunk into it
+SUNK = 0.15e-3  # m: the part is drawn this much smaller, so that the first layer is not half sunk into it,
+SUNK_SHARE = 0.5  # or by this share of the lowest bead's height
 
 
-def part_data(shape: Shape | None) -> dict[str, Any] | None:
+def part_data(shape: Shape | None, beads: Sequence[Bead]) -> dict[str, Any] | None:
     """Points and normals (part frame, m) and corners of the part's surface, one after the other; None without a shape."""
     if shape is None:
         return None
-    points = shape.vertices - SUNK * shape.normals
+    points = shape.vertices - min(SUNK, SUNK_SHARE * _least(beads, "height")) * shape.normals
     return {
         "points": points.astype(np.float32).ravel(),
         "normals": shape.normals.astype(np.float32).ravel(),
         "corners": _corners(shape.triangles, len(points)),
     }
+
+
+def _least(beads: Sequence[Bead], measure: str) -> float:
+    """The least width or height of beads [m]; infinite where nobody tells it."""
+    known = (getattr(bead, measure, ()) for bead in beads)
+    return min((float(np.min(each)) for each in known if len(each)), default=math.inf)
 
 
 # ----------------------------------------------------------------------------------------------------
@@ -125,7 +132,7 @@ def _sections(beads: Sequence[Bead], bead: NDArray[np.integer[Any]], along: Arra
 # ----------------------------------------------------------------------------------------------------
 # Robots: their bodies, the screws that move them, and their posture over time.
 
-TOLERANCE = 0.5e-3  # m: how far off the tip may be between postures that the page has
+TOLERANCE = 0.5e-3  # m, and the narrowest bead's width: how far off the tip may be between postures that the page has
 MOST_POSTURES = 60_000
 FIRST = 250  # samples between the first postures looked at; more where these would be half of the most
 LOOKS = 7  # places within a stretch where the first looks are taken
@@ -197,7 +204,7 @@ def tools(plan: Plan) -> list[dict[str, Any]]:
     ]
 
 
-def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
+def postures(cell: Cell, trajectory: Trajectory, tolerance: float = TOLERANCE) -> dict[str, Any]:
     """Postures at so many samples that between them, joints taken as moving evenly, the tip is no further off than told.
 
     `sample` (k), `q` (k, nj) row by row, and `off_mm`, the furthest that the tip is off at any sample.
@@ -209,7 +216,6 @@ def postures(cell: Cell, trajectory: Trajectory) -> dict[str, Any]:
         found = [(first, *_kept(own, part, tolerance, apart)) for own, first, part in parts]
         return np.concatenate([first + kept for first, kept, _ in found]), max(off for _, _, off in found)
 
-    tolerance = TOLERANCE
     kept, off = within(tolerance)
     while len(kept) > MOST_POSTURES:
         tolerance *= GROWTH
@@ -299,10 +305,11 @@ def plan_scene(plan: Plan, places: Sequence[ReportPlace]) -> dict[str, Any]:
     if plan.toolpath.left_out:
         still.append(cut_lines(plan.toolpath.left_out) | {"round": True, "colour": ALARM})
     facing = -traj.axis[traj.deposit].mean(axis=0) if traj.deposit.any() else np.zeros(3)
+    near = min(TOLERANCE, _least(plan.toolpath.beads, "width"))
     return {
         "cell": cell,
-        "part": part_data(plan.toolpath.shape),
-        "motion": None if cell is None else postures(plan.cell, traj),
+        "part": part_data(plan.toolpath.shape, plan.toolpath.beads),
+        "motion": None if cell is None else postures(plan.cell, traj, near),
         "dt": traj.dt,
         "end": float(traj.t[-1]),
         "facing": facing.round(4).tolist(),
@@ -336,7 +343,7 @@ def failed_scene(
     facing = np.mean([np.mean(bead.normals, axis=0) for bead in shown], axis=0) if shown else np.zeros(3)
     return {
         "cell": None if cell is None else cell_data(cell, view),
-        "part": part_data(shape),
+        "part": part_data(shape, beads),
         "motion": None,
         "dt": 0.0,
         "end": 0.0,
