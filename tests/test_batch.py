@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +14,7 @@ from solved import small_plan, small_problem, write_small
 from planner import Solved, Toolpath, load, solve_all
 from planner.base.errors import InputError, Refusal
 from planner.plan.seal import changed_since, digest_of
+from planner.planning import batch
 
 FAR = ("origin_mm: [633.5, 9.87, 380]", "origin_mm: [9000, 9.87, 380]")
 
@@ -66,3 +69,31 @@ def test_wrong_arguments_are_said(problems: Any, options: dict[str, Any], messag
 def test_what_is_wrong_for_all_is_told_of_each() -> None:
     found = solve_all([small_problem(), small_problem()], strategy="laddre")
     assert ["did you mean ladder" in str(one.error) for one in found] == [True, True]
+
+
+def test_a_refusal_holds_nothing_of_its_search_and_finds_its_hints_when_it_is_asked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    planned: list[bool] = []
+
+    def refused(*args: Any, baseline: bool, **options: Any) -> Any:
+        planned.append(baseline)
+        raise Refusal("no way", hints=lambda: ("higher",)) from ValueError("inside")
+
+    monkeypatch.setattr(batch, "solve", refused)
+    (found,) = solve_all(["peer_cap"])
+    error = found.error
+    assert isinstance(error, Refusal) and str(error) == "no way"
+    assert (error.__traceback__, error.__cause__, error.__context__) == (None, None, None)
+    assert planned == [True]
+    assert error.hints == error.hints == ("higher",) and planned == [True, False]
+
+    done = batch._solved(batch._Item("peer_cap", None, 0.004, None, True, (), None))
+    assert pickle.loads(pickle.dumps(done.error)).hints == () and len(planned) == 3  # none is tried on the way
+
+
+def test_the_file_of_a_plan_goes_when_it_is_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batch, "Plan", SimpleNamespace(load=lambda path: path.read_text()))
+    file = tmp_path / "0.npz"
+    file.write_text("a plan")
+    assert batch._taken(file) == "a plan" and not file.exists() and batch._taken(None) is None

@@ -133,6 +133,10 @@ class Refusal(PlannerError):
         given = self._hints
         self._hints = lambda: tried(given() if callable(given) else given)
 
+    def advised_by(self, hints: Hints | Callable[[], Hints]) -> None:
+        """Have other hints than its own, or a function that finds them when they are first asked for."""
+        self._hints = hints
+
     def __reduce__(self) -> str | tuple[Any, ...]:
         self._hints = self.hints  # what finds them cannot go to another process
         return super().__reduce__()

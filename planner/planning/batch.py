@@ -6,6 +6,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -13,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from planner.base.arguments import as_list, as_number, check_callable, kind_of
 from planner.base.distribution import MOST_JOBS, spread
-from planner.base.errors import InputError, PlannerError
+from planner.base.errors import Hints, InputError, PlannerError, Refusal
 from planner.plan import Plan
 from planner.planning.options import DEFAULT_DT
 from planner.planning.pipeline import solve
@@ -30,7 +31,8 @@ class Solved:
 
     problem  as it was given
     plan     its plan, verified or not; None where there is none
-    error    why there is none: InputError, Refusal, or what ended its process
+    error    why there is none: InputError, Refusal, or what ended its process; the hints of a Refusal are found when they
+             are asked for, by planning the problem once more
     seconds  that it took
     """
 
@@ -134,8 +136,9 @@ def solve_all(
         for i, outcome in spread(_solved, items, jobs):
             if isinstance(outcome, PlannerError):  # its process died
                 outcome = _Done(None, outcome, 0.0)
-            plan = Plan.load(outcome.plan) if isinstance(outcome.plan, Path) else outcome.plan
-            found[i] = Solved(given[i], plan, outcome.error, outcome.seconds)
+            if isinstance(outcome.error, Refusal):
+                outcome.error.advised_by(partial(_hints_of, items[i]))
+            found[i] = Solved(given[i], _taken(outcome.plan), outcome.error, outcome.seconds)
             bar.update(shown, advance=1, description=found[i].name)
             if done is not None:
                 done(found[i])
@@ -146,10 +149,41 @@ def _solved(item: _Item) -> _Done:
     """A problem's plan, saved where that is asked for, or why there is none."""
     begun, plan, error = time.perf_counter(), None, None
     try:
-        plan = solve(
-            item.problem, item.strategy, item.dt, tolerance=item.tolerance, baseline=item.baseline, terms=item.terms
-        )
+        plan = _plan_of(item, item.baseline)
     except PlannerError as refused:
-        error = refused
+        error = _alone(refused)
     saved = plan if plan is None or item.file is None else plan.save(item.file)
     return _Done(saved, error, time.perf_counter() - begun)
+
+
+def _plan_of(item: _Item, baseline: bool) -> Plan:
+    return solve(item.problem, item.strategy, item.dt, tolerance=item.tolerance, baseline=baseline, terms=item.terms)
+
+
+def _alone(error: PlannerError) -> PlannerError:
+    """An error without what it holds: the frames that it came through, with all that was searched, some 100 MB of many
+    problems, and what tries its hints, which would be asked before it goes to another process."""
+    error.__cause__ = error.__context__ = None
+    if isinstance(error, Refusal):
+        error.advised_by(())
+    return error.with_traceback(None)
+
+
+def _hints_of(item: _Item) -> Hints:
+    """What a refusal advises, found by planning the problem once more; nothing where that ends otherwise now."""
+    try:
+        _plan_of(item, baseline=False)
+    except Refusal as refused:
+        return refused.hints
+    except PlannerError:
+        pass
+    return ()
+
+
+def _taken(plan: Plan | Path | None) -> Plan | None:
+    """The plan; one that another process has saved is loaded, and its file goes: hundreds would fill a disk."""
+    if not isinstance(plan, Path):
+        return plan
+    found = Plan.load(plan)
+    plan.unlink()
+    return found
