@@ -182,6 +182,19 @@ def test_arrays_of_different_lengths_are_told() -> None:
         as_it_is(of_trajectory(q=plan.trajectory.q[:-5])(plan))
 
 
+def test_arrays_of_another_kind_are_told() -> None:
+    plan = small_plan()
+    t, n = plan.trajectory, len(plan.trajectory)
+    for values, told in (
+        ({"deposit": t.deposit.astype(np.int64)}, f"trajectory.deposit: is int64 of shape ({n},)"),  # as in a table
+        ({"bead": t.bead.astype(float)}, f"trajectory.bead: is float64 of shape ({n},)"),
+        ({"q": t.q[:, :3]}, f"trajectory.q: is float64 of shape ({n}, 3)"),
+        ({"tip": t.tip.tolist()}, "trajectory.tip: is of type list"),
+    ):
+        with pytest.raises(InputError, match=re.escape(told)):
+            as_it_is(of_trajectory(**values)(plan))
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_any_number_of_the_motion_changes_the_digest(data: st.DataObject) -> None:

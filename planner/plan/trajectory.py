@@ -11,6 +11,9 @@ from planner.base.arrays import Array, ReadOnlyArrays
 
 TRAVEL = -1  # index of the bead where there is none
 WHOLE = ("dt", "events", "first_bead")  # fields of a trajectory that are not by sample
+# Arrays that hold no floats, by the kind of what they hold; and those with columns, besides the joints.
+_KINDS = {"bead": "i", "layer": "i", "branch": "i", "deposit": "b"}
+_COLUMNS = {"tip": 3, "quat": 4, "axis": 3}
 
 
 @dataclass(frozen=True)
@@ -83,24 +86,29 @@ class Trajectory(ReadOnlyArrays):
 
     def is_of(self, joints: int) -> bool:
         """Whether it is what the fields say, for so many joints: what is read from a file may be anything."""
-        if (
-            not isinstance(self.dt, float)
-            or not isinstance(self.first_bead, int)
-            or not isinstance(self.t, np.ndarray)
-            or not isinstance(self.events, tuple)
-        ):
+        if not isinstance(self.dt, float) or not isinstance(self.first_bead, int):
             return False
-        n = np.size(self.t)
-        wide = {"q": joints, "tip": 3, "quat": 4, "axis": 3}
-        counted, flags = ("bead", "layer", "branch"), ("deposit",)
+        if not isinstance(self.events, tuple) or self.odd_array(joints):
+            return False
+        rows = {len(value) for value in vars(self).values() if isinstance(value, np.ndarray)}
+        return rows == {len(self.t)} and all(isinstance(event, Event) for event in self.events)
+
+    def odd_array(self, joints: int) -> str:
+        """Name of the first array whose numbers or columns are of another kind than the fields say, for so many joints,
+        however many rows it has; empty where none is."""
+        columns = _COLUMNS | {"q": joints}
         for each in fields(self):
-            if each.name not in WHOLE:
-                value, name = getattr(self, each.name), each.name
-                kind = "i" if name in counted else "b" if name in flags else "f"
-                shape = (n, wide[name]) if name in wide else (n,)
-                if not isinstance(value, np.ndarray) or value.shape != shape or value.dtype.kind != kind:
-                    return False
-        return all(isinstance(event, Event) for event in self.events)
+            if each.name in WHOLE:
+                continue
+            value, shape = getattr(self, each.name), (columns[each.name],) if each.name in columns else ()
+            if (
+                not isinstance(value, np.ndarray)
+                or value.ndim != 1 + len(shape)
+                or value.shape[1:] != shape
+                or value.dtype.kind != _KINDS.get(each.name, "f")
+            ):
+                return each.name
+        return ""
 
     def part(self, rows: slice) -> Trajectory:
         """Some samples as a motion of their own, whose time, filament and volume begin at 0."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
+from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable, kind_of
 from planner.base.arrays import Array
 from planner.base.compiled import was_compiled
 from planner.base.distribution import Spread
@@ -737,10 +737,12 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
 
     What was verified against (problem, cell, toolpath) must be what was planned for: a check of its own fails otherwise,
     and so does that on a tolerance, which only `solve` can judge.
+    Raises InputError for a motion whose arrays are of another type than they were.
     """
     changed = changed_since(plan)
     if not changed:
         return plan
+    _check_arrays(plan)
     stages = stages or Stages()
     with stages.stage("verify"):
         report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
@@ -761,6 +763,16 @@ def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
             roll_maps=(),
         )
     )
+
+
+def _check_arrays(plan: Plan) -> None:
+    """Raise InputError for an array of a motion that has another type or other columns than it had: with `deposit` as 0 and 1,
+    the rows that it picks would be the first two."""
+    for name, motion in (("trajectory", plan.trajectory), ("asked", plan.asked)):
+        if motion is not None and (odd := motion.odd_array(len(plan.joint_names))):
+            value = getattr(motion, odd)
+            what = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else kind_of(value)
+            raise InputError(f"is {what}", field=f"{name}.{odd}", hint="the type and columns that it had")
 
 
 def _written(programs: Callable[[], object], folder: Path) -> tuple[str, ...]:
