@@ -15,6 +15,7 @@ from simulate_fixtures import program_at
 from solved import BED, solve_alone, write_small
 
 import planner.planning.pipeline
+from planner import joint_paths
 from planner.base.errors import InputError
 from planner.cell.cell import Cell, build_cell
 from planner.cell.robot import Robot
@@ -218,6 +219,18 @@ def test_a_search_for_several_nozzles_is_a_search_for_each() -> None:
     (whole, *_) = roll_maps(cell, paths, obstacles, problem.resolve.min_sigma)
     assert np.array_equal(whole.bead, np.sort(whole.bead)) and (np.diff(whole.along) > 0.0).all()
     assert set(whole.bead.tolist()) == {0, 1, 2} and whole.free.any(axis=1).all()
+
+
+def test_joint_paths_hold_each_task_with_its_own_nozzle() -> None:
+    plan = two_nozzles()
+    known, chosen = plan.paths, list(plan.cell.chosen)
+    paths = joint_paths(
+        plan.cell, [path.task for path in known], [path.roll for path in known],
+        chosen=[path.q[:, chosen] for path in known], branches=[path.branch for path in known],
+    )  # fmt: skip
+    for path in paths:
+        tip = plan.cell.at(path.task.material).T_part_nozzle(path.q)[:, :3, 3]
+        assert np.abs(tip - path.task.tip).max() < 1e-9
 
 
 def test_parts_of_a_motion_are_motions_of_their_own() -> None:

@@ -13,7 +13,7 @@ from solved import small_problem
 from planner import STRATEGIES, Cell, JointPath, NozzleTask, joint_paths, load, register_strategy, solve
 from planner.base.errors import InputError, Refusal
 from planner.cell.cell import build_cell
-from planner.collision.scene import Obstacles
+from planner.collision.scene import NOTHING, Obstacles
 from planner.problem.settings import ResolveSpec
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.task import tasks_of
@@ -124,6 +124,29 @@ def test_what_it_answers_wrongly_is_said(spoil: Spoil, message: str) -> None:
     with pytest.raises(InputError) as error:
         solve(small_problem(), strategy="mine", baseline=False)
     assert str(error.value).startswith("strategy mine: ") and message in str(error.value)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64, complex])
+def test_arrays_of_other_numbers_are_those_that_kernels_take_or_told(kind: type) -> None:
+    cell, tasks = given()
+
+    def still(cell: Cell, tasks: Sequence[NozzleTask], settings: Any, obstacles: Any) -> list[JointPath]:
+        paths = []
+        for task in tasks:
+            n, joints = len(task), len(cell.joint_names)
+            q = np.zeros((n, joints), kind, order="F")
+            paths.append(JointPath(task, np.zeros(n, kind), np.zeros((n, 2), kind), q, np.int64(0)))  # type: ignore[arg-type]
+        return paths
+
+    register_strategy("still", still)
+    if kind is complex:
+        with pytest.raises(InputError, match="path 0: q is an array of complex128"):
+            STRATEGIES["still"](cell, tasks, small_problem().resolve, NOTHING)
+        return
+    for path in STRATEGIES["still"](cell, tasks, small_problem().resolve, NOTHING):
+        for values in (path.q, path.roll, path.tilt):
+            assert values.dtype == float and values.flags.c_contiguous
+        assert type(path.branch) is int
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -72,7 +73,8 @@ def joint_paths(
     chosen: Sequence[ArrayLike] | None = None,
     branches: Sequence[int] | None = None,
 ) -> tuple[JointPath, ...]:
-    """Joint paths that hold tasks exactly, for what they leave free; whole turns are chosen so that travel is short.
+    """Joint paths that hold tasks exactly, for what they leave free, each with the nozzle that lays its material; whole
+    turns are chosen so that travel is short.
 
     rolls     for each task: roll (n) about the nozzle's axis at its samples [rad], or one for all
     tilts     for each task: rotation vectors (n, 2) of the axis in the task's frames [rad]; the axis on the normal, if not given
@@ -105,7 +107,7 @@ def joint_paths(
             (task, roll, tilt, free, home if branches is None else _branch(cell, branches[i], f"branches[{i}]"))
         )
     paths = [
-        JointPath(task, roll, tilt, postures(cell, task, roll, free, branch, tilt), branch)
+        JointPath(task, roll, tilt, postures(cell.at(task.material), task, roll, free, branch, tilt), branch)
         for task, roll, tilt, free, branch in asked
     ]
     return choose_turns(cell, paths)
@@ -140,7 +142,7 @@ def _broadcast(name: str, value: ArrayLike, shapes: Sequence[tuple[int, ...]], t
 
 
 def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -> tuple[JointPath, ...]:
-    """What a strategy answered, if it is a joint path for each task."""
+    """What a strategy answered, if it is a joint path for each task; its numbers as kernels take them."""
     field = f"strategy {name}"
     if not isinstance(paths, (tuple, list)):
         raise InputError(
@@ -149,18 +151,23 @@ def _looked_at(name: str, paths: Any, cell: Cell, tasks: Sequence[NozzleTask]) -
     if len(paths) != len(tasks):
         raise InputError(f"answers with {len(paths)} paths, there are {len(tasks)} tasks", field=field)
     joints = len(cell.joint_names)
+    taken = []
     for i, (path, task) in enumerate(zip(paths, tasks, strict=True)):
         if not isinstance(path, JointPath):
             hint = "a JointPath, such as joint_paths makes"
             raise InputError(f"path {i} is of type {type(path).__name__}", field=field, hint=hint)
         if path.task is not task:
             raise InputError(f"path {i} is of another task than task {i}", field=field)
-        _branch(cell, path.branch, f"{field}: path {i}")
+        found: dict[str, Any] = {"branch": _branch(cell, path.branch, f"{field}: path {i}")}
         for part, shape in (("q", (len(task), joints)), ("roll", (len(task),)), ("tilt", (len(task), 2))):
             values = getattr(path, part)
             if not isinstance(values, np.ndarray) or values.shape != shape:
                 raise InputError(f"path {i}: {part} has shape {np.shape(values)}", field=field, hint=str(shape))
+            if values.dtype.kind not in "fiu":
+                raise InputError(f"path {i}: {part} is an array of {values.dtype}", field=field, hint="real numbers")
             if not np.isfinite(values).all():
                 at = int(np.argmin(np.isfinite(values).reshape(len(values), -1).all(axis=1)))
                 raise InputError(f"path {i}: {part}[{at}] is not finite", field=field)
-    return tuple(paths)
+            found[part] = np.ascontiguousarray(values, dtype=float)
+        taken.append(replace(path, **found))
+    return tuple(taken)
