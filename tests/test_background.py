@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -181,6 +181,12 @@ def test_each_of_many_items_in_order_from_two_processes() -> None:
     assert [square for square, _ in found] == [k * k for k in range(MANY)]
     assert len({where for _, where in found}) == (2 if spare_core() else 1)
     assert {where for _, where in of_each(lambda k: (k, os.getpid()), range(MANY - 1))} == {here}
+
+
+def test_no_other_thread_than_the_main_one_copies_the_process() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(of_each, lambda k: os.getpid(), range(MANY)).result()
+    assert set(found) == {os.getpid()}
 
 
 def test_what_is_refused_of_many_items_is_the_first_of_them() -> None:

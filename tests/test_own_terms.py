@@ -14,13 +14,14 @@ import pytest
 from planner import OwnTerm, PathSamples, SamplePrice, check_term, load, random_samples, solve
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.base.processes import MANY
 from planner.cell.cell import build_cell
 from planner.planning.context import PlanningContext, context_of
 from planner.resolve.joint_path import JointPath
 from planner.resolve.ladder import ladder
 from planner.resolve.own_terms import own_terms
 from planner.resolve.refine import evaluate, expand, program_around, watched
-from planner.resolve.sqp import refine_paths, start_track, whole
+from planner.resolve.sqp import refine_paths, start_track, whole, worth_a_copy
 from planner.resolve.terms import model_of
 from planner.toolpath.build import build_toolpath
 
@@ -55,6 +56,12 @@ def test_terms_on_the_page_are_short_and_their_derivatives_right() -> None:
         assert len(own.splitlines()) <= 20
     check_term(on_the_page("KeepAway")("joint_2", 1.5, 5.0), random_samples(JOINTS))
     check_term(on_the_page("KeepSlow")("joint_3", 0.3, 0.5), random_samples(JOINTS))
+
+
+def test_terms_are_never_asked_in_a_copy_of_the_process() -> None:
+    cell = build_cell(load("peer_cap"))
+    assert worth_a_copy(model_of(cell), MANY) and not worth_a_copy(model_of(cell), MANY - 1)
+    assert not worth_a_copy(model_of(cell, terms=own_terms([Everything()])), MANY)
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -28,8 +29,11 @@ _PARTS_A_CORE = 4  # so that a core that was given easy parts has some left to t
 
 def spare_core() -> bool:
     """True where a second process helps: on Linux, where one may be forked safely, if more than one core is ours, and
-    this is no process of `spread` or of a cluster, which has others beside it."""
-    return sys.platform == "linux" and cores() > 1 and not multiprocessing.current_process().daemon
+    this is no process of `spread` or of a cluster, which has others beside it. Nor in a thread beside the main one: a copy
+    that begins there may wait for ever for what another thread held."""
+    if threading.current_thread() is not threading.main_thread() or multiprocessing.current_process().daemon:
+        return False
+    return sys.platform == "linux" and cores() > 1
 
 
 def cores() -> int:

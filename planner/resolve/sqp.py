@@ -23,6 +23,7 @@ from planner.resolve.drawn import SLIGHT
 from planner.resolve.guides import runs_backwards, stacks_of, zeros_apart
 from planner.resolve.joint_path import MARGIN, JointPath, choose_turns
 from planner.resolve.ladder import ladder
+from planner.resolve.own_terms import Own
 from planner.resolve.quadratic import solve_qp
 from planner.resolve.refine import QPSolver, bounded_cones, calmed, evaluate, evaluate_samples, refine_stretch
 from planner.resolve.segment import HOLDER, ROLL, ROOM, TILT, Model, PathSegment, PathState, Term
@@ -214,10 +215,17 @@ def refine_beads(
         in_turn([partial(start, chain, None) for chain in chains[first:last]])
         return {i: done[i] for chain in chains[first:last] for i in chain}
 
-    for found in in_halves(part, len(chains), len(chains) >= MANY):  # short beads: threads wait for each other's Python
+    # threads that refine short beads wait for each other's Python
+    for found in in_halves(part, len(chains), worth_a_copy(model, len(chains))):
         for i, path in found.items():
             done[i] = replace(path, task=paths[i].task)  # one of each task, whichever process it comes from
     return done
+
+
+def worth_a_copy(model: Model, count: int) -> bool:
+    """Whether so many beads are worth a copy of this process; never where a user's terms are asked: their libraries may hang
+    there, and what they note down would be lost."""
+    return count >= MANY and not any(isinstance(term, Own) for term in model.terms)
 
 
 def qp_solver(name: str) -> QPSolver:
@@ -241,7 +249,7 @@ def given_prices(model: Model, paths: Sequence[JointPath], settings: ResolveSpec
     def price(i: int) -> Priced:
         return given_price(model, paths[i], settings.min_sigma)
 
-    if len(long_enough) >= MANY:
+    if worth_a_copy(model, len(long_enough)):
         return dict(zip(long_enough, of_each(price, long_enough), strict=True))
     with ThreadPoolExecutor(cores()) as pool:
         return dict(zip(long_enough, pool.map(price, long_enough), strict=True))
