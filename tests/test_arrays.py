@@ -114,6 +114,17 @@ def test_one_normal_serves_all_points() -> None:
     assert (Toolpath.from_arrays([line, line + 0.01], [UP, -UP]).normals[[0, -1]] == [UP, -UP]).all()
 
 
+def test_normals_may_be_products_of_small_steps(tmp_path: Path) -> None:
+    points, normals = (np.concatenate(each) for each in rings())
+    short = 2e-7 * normals  # of steps of 0.45 mm, in metres
+    arrays = load("peer_cap", toolpath=Toolpath.from_arrays(points, short, unit="mm"))
+    same(arrays, of_file(tmp_path, columns_of(points, short)))
+    plain = build_toolpath(load("peer_cap", toolpath=Toolpath.from_arrays(points, normals, unit="mm")))
+    for bead, other in zip(build_toolpath(arrays).beads, plain.beads, strict=True):
+        assert np.abs(bead.normals - other.normals).max() < 1e-9
+    assert len(Toolpath.from_arrays(points, 1e-100 * normals, unit="mm")) == len(points)
+
+
 def test_arrays_take_the_place_of_layers_and_part() -> None:
     line = np.linspace([0.0, 0.0, 0.0], [0.05, 0.0, 0.0], 30)
     before = load("cylinder_logo")
@@ -162,6 +173,8 @@ def at(i: int, value: Any, of: Array = GOOD) -> Array:
         (lambda: Toolpath.from_arrays(at(4, 150.0), UP), "unit='mm'"),
         (lambda: Toolpath.from_arrays(GOOD, np.tile(UP, (7, 1))), "normals: has shape (7, 3), points (30, 3)"),
         (lambda: Toolpath.from_arrays(GOOD, at(7, 0.0, np.tile(UP, (30, 1)))), "normals[7]: (0, 0, 0) has no length"),
+        (lambda: Toolpath.from_arrays(GOOD, at(7, 1e-9, np.tile(UP, (30, 1)))), "normals[7]: (1e-09, 1e-09, 1e-09) has no length"),
+        (lambda: Toolpath.from_arrays(GOOD, np.zeros(3)), "normals[0]: (0, 0, 0) has no length"),
         (lambda: Toolpath.from_arrays(GOOD, at(7, np.nan, np.tile(UP, (30, 1)))), "normals[7]: (nan, nan, nan) is no"),
         (lambda: Toolpath.from_arrays([GOOD, GOOD], [UP]), "normals: has 1 beads, points 2"),
         (lambda: Toolpath.from_arrays([GOOD, GOOD], [GOOD, GOOD[:4]]), "normals[1]: has shape (4, 3), points[1] (30, 3)"),

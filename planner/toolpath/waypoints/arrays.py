@@ -12,7 +12,7 @@ from planner.base.arrays import Array, Ints
 from planner.base.budgets import WAYPOINTS
 from planner.base.errors import InputError
 from planner.problem.waypoint_arrays import WaypointArrays
-from planner.toolpath.waypoints.reader import FARTHEST, MOST_LAYERS, SHORTEST_NORMAL, SIZES, TO_SI
+from planner.toolpath.waypoints.reader import FARTHEST, MOST_LAYERS, SIZES, TO_SI, have_length
 
 _ONE_BY_ONE = "(n, 3), or a list of such arrays, one for each bead"
 
@@ -44,7 +44,7 @@ def waypoints_of(
     hint = "points are in metres unless unit='mm' is given" if unit == "m" else None
     _check("points", x / TO_SI[unit], at, np.abs(x).max(axis=1) <= 1e-3 * FARTHEST, far, hint)
     _check("normals", n, at, np.isfinite(n).all(axis=1), "{} is no direction")
-    _check("normals", n, at, np.abs(n).max(axis=1) > SHORTEST_NORMAL, "{} has no length", "a direction, of any length")
+    _check("normals", n, at, have_length(n), "{} has no length", "a direction, of any length")
     sizes: dict[str, Array | None] = {}
     for name, value in (("width", width), ("height", height)):
         column = sizes[name] = None if value is None else _column(name, value, len(x), counts) * TO_SI[unit]

@@ -63,7 +63,8 @@ _AGREE = 0.3  # if the sum of their normals is at least this long, for each of t
 _OPPOSITE = 0.7  # and the cosine of its angle to that is less than the negative of this
 SIZES = (1e-5, 50e-3)  # m: widths and heights of beads, from a fibre to large concrete beads
 MOST_LAYERS = 1e6  # and numbers of beads
-SHORTEST_NORMAL = 1e-6
+_SHORTEST = 1e-6  # of the longest normal, or of 1 if that is longer: below, what is no direction is left of rounding
+_TINIEST = 1e-150  # whose square is a number yet
 _FEWER = "thin them out, or print the part in several files"
 _SIZED, _COUNTED = ("width", "height"), ("layer", "bead")
 TO_SI = {"mm": 1e-3, "m": 1.0}
@@ -517,6 +518,14 @@ def _upright(vectors: Array, up: str) -> Array:
     return np.column_stack({"x": (y, z, x), "y": (x, -z, y), "z": (x, y, z)}[up])
 
 
+def have_length(normals: Array) -> NDArray[np.bool_]:
+    """Which normals (n, 3) are directions, not zero or next to nothing beside the longest: those that are products of small
+    steps in metres are short, all of them."""
+    size = np.abs(normals).max(axis=1)
+    longest = float(size.max(initial=0.0, where=np.isfinite(size)))
+    return np.asarray(size > max(_SHORTEST * min(1.0, longest), _TINIEST))
+
+
 def _check(columns: Columns, spec: WaypointsSpec) -> None:
     """Raise InputError for the first row whose numbers are no waypoint's."""
     unit = spec.unit
@@ -526,7 +535,8 @@ def _check(columns: Columns, spec: WaypointsSpec) -> None:
     place = np.column_stack([values[name] for name in ("x", "y", "z")])
     normal = np.column_stack([values[name] for name in ("nx", "ny", "nz")])
     bad |= ~(scale * np.abs(place).max(axis=1) <= 1e-3 * FARTHEST)
-    bad |= ~(np.abs(normal).max(axis=1) > SHORTEST_NORMAL)
+    directed = have_length(normal)
+    bad |= ~directed
     for name in [name for name in _SIZED if name in values]:
         bad |= ~((scale * values[name] >= SIZES[0]) & (scale * values[name] <= SIZES[1]))
     for name in [name for name in _COUNTED if name in values]:
@@ -545,7 +555,7 @@ def _check(columns: Columns, spec: WaypointsSpec) -> None:
     if scale * np.abs(place[i]).max() > 1e-3 * FARTHEST:
         hint = f"points are in {unit}; layers.source.unit is mm or m"
         raise wrong(f"the point is farther than {FARTHEST / 1e3:g} m from the origin", hint=hint)
-    if np.abs(normal[i]).max() <= SHORTEST_NORMAL:
+    if not directed[i]:
         raise wrong("the normal is zero", hint="nx ny nz is a direction, of any length")
     for name in [name for name in _SIZED if name in row]:
         if not SIZES[0] <= scale * row[name] <= SIZES[1]:
