@@ -108,6 +108,18 @@ def test_beads_one_by_one_are_a_column_of_beads(tmp_path: Path) -> None:
     assert len(build_toolpath(load("peer_cap", toolpath=nested)).beads) == 2
 
 
+def test_beads_may_be_tables() -> None:
+    pandas = pytest.importorskip("pandas")
+    points, normals = rings()
+    tables = [[pandas.DataFrame(each, columns=list("xyz")) for each in which] for which in (points, normals)]
+    given = Toolpath.from_arrays(*tables, unit="mm", layer=pandas.Series([0, 1]), width=np.array(0.6))
+    plain = Toolpath.from_arrays(points, normals, unit="mm", layer=[0, 1], width=0.6)
+    for name in ("points", "normals", "layer", "width", "firsts"):
+        assert np.array_equal(getattr(given, name), getattr(plain, name)), name
+    ups = [pandas.Series(UP), pandas.Series(-UP)]  # one normal for each bead
+    assert (Toolpath.from_arrays(points, ups, unit="mm").normals[[0, -1]] == [UP, -UP]).all()
+
+
 def test_one_normal_serves_all_points() -> None:
     line = np.linspace([0.0, 0.0, 0.0], [0.05, 0.0, 0.0], 30)
     assert (Toolpath.from_arrays(line, UP).normals == UP).all()

@@ -89,9 +89,7 @@ def _one_by_one(points: Any) -> bool:
     if not isinstance(points, (list, tuple)) or not len(points):
         return False
     first = points[0]
-    return (isinstance(first, np.ndarray) and first.ndim == 2) or (
-        isinstance(first, (list, tuple)) and _has_rows(first)
-    )
+    return getattr(first, "ndim", 0) == 2 or (isinstance(first, (list, tuple)) and _has_rows(first))
 
 
 def _in_beads(normals: Any) -> bool:
@@ -100,7 +98,8 @@ def _in_beads(normals: Any) -> bool:
 
 
 def _has_rows(value: Sequence[Any]) -> bool:
-    return len(value) > 0 and isinstance(value[0], (list, tuple, np.ndarray))
+    """Whether the first item is a row itself: a list, or what has as many indices as one, such as a column of a table."""
+    return len(value) > 0 and (isinstance(value[0], (list, tuple)) or getattr(value[0], "ndim", 0) > 0)
 
 
 def _normals(normals: Any, count: int, counts: Ints | None) -> Array:
@@ -124,13 +123,9 @@ def _normals(normals: Any, count: int, counts: Ints | None) -> Array:
 
 def _column(name: str, value: Any, count: int, counts: Ints | None) -> Array:
     """A number for each waypoint (n): one for all, one for each, or of beads that are given one by one, as these."""
-    if (
-        counts is not None
-        and isinstance(value, (list, tuple, np.ndarray))
-        and np.ndim(value[:1])
-        and len(value) == len(counts)
-    ):
-        parts = [_numbers(f"{name}[{i}]", each) for i, each in enumerate(value)]
+    given = value if isinstance(value, (list, tuple)) else np.atleast_1d(_numbers(name, value))
+    if counts is not None and len(given) == len(counts):
+        parts = [_numbers(f"{name}[{i}]", each) for i, each in enumerate(given)]
         for i, (part, n) in enumerate(zip(parts, counts, strict=True)):
             if part.shape not in ((), (n,)):
                 raise InputError(f"has shape {part.shape}, points[{i}] {(int(n), 3)}", field=f"{name}[{i}]")
