@@ -23,6 +23,7 @@ def make_problem(name: str = "cylinder_stars") -> SimpleNamespace:
     return SimpleNamespace(
         name=name,
         file=Path("problems/cylinder_stars.yaml"),
+        from_arrays=False,
         cell=SimpleNamespace(positioner=SimpleNamespace(base=None)),
         process=SimpleNamespace(
             interlayer_time=None,

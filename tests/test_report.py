@@ -647,6 +647,15 @@ def test_how_to_make_a_resumed_print_again() -> None:
     assert _command(plan).endswith("planner.solve cylinder_stars.yaml --strategy ladder --from-bead 3")
 
 
+def test_what_only_python_can_make_again_is_told_in_place_of_a_command(tmp_path: Path) -> None:
+    plan = dataclasses.replace(make_plan(4_000), strategy="mine", settings={"terms": ["keep_away"]})
+    plan.problem.from_arrays = True
+    write_report(plan, tmp_path / "r.html")
+    words = visible(tmp_path / "r.html")
+    assert "made in Python, with waypoints from arrays, strategy mine, term keep_away; no command" in words
+    assert "planner.solve" not in words
+
+
 def test_advice_names_keys_that_exist() -> None:
     def known(model: type, keys: list[str]) -> bool:
         field = next((each for each in described(model).values() if each.key == keys[0]), None)

@@ -25,6 +25,7 @@ from planner.plan.stored import save, stored_parts
 from planner.plan.trajectory import Event, Trajectory
 from planner.problem import Problem
 from planner.problem.process import signals
+from planner.problem.settings import STRATEGY_NAMES
 from planner.toolpath.bead import Bead, Toolpath
 
 if TYPE_CHECKING:
@@ -396,6 +397,14 @@ class Plan:
     def verified(self) -> bool:
         """True if every check of the verifier holds, within the tolerance too where one was asked for."""
         return self.holds_as_planned and (self.headroom is None or self.headroom.holds)
+
+    @property
+    def from_python(self) -> tuple[str, ...]:
+        """What it was made with that Python alone can give, in words: waypoints from arrays, a strategy and terms of a
+        user's own."""
+        arrays = ["waypoints from arrays"] if self.problem.from_arrays else []
+        own = [] if self.strategy in STRATEGY_NAMES else [f"strategy {self.strategy}"]
+        return (*arrays, *own, *(f"term {name}" for name in self.settings.get("terms", ())))
 
     @property
     def as_counted(self) -> Plan:
