@@ -217,11 +217,24 @@ def test_too_many_facets_are_counted_before_they_are_read(tmp_path: Path) -> Non
 def test_memory_is_what_container_and_machine_leave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert 1e8 < model.memory() < 1e14
     container = tmp_path / "memory.max"
-    monkeypatch.setattr(model, "_CONTAINER", (container,))
+    monkeypatch.setattr(model, "_GROUPS", {"": (tmp_path, "memory.max")})
+    monkeypatch.setattr(model, "_MINE", tmp_path / "cgroup")
     container.write_text("max\n")
     whole = model.memory()
     container.write_text("123456789\n")
     assert model.memory() == 123456789.0 < whole
+
+
+def test_memory_is_that_of_the_cluster_s_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model, "_GROUPS", {"": (tmp_path, "memory.max"), "memory": (tmp_path / "memory", "limit")})
+    monkeypatch.setattr(model, "_MINE", tmp_path / "cgroup")
+    for group, limit in (("slurm/job_7", "2000\n"), ("slurm/job_7/step_0", "max\n"), ("memory/job", "1000\n")):
+        (tmp_path / group).mkdir(parents=True)
+        (tmp_path / group / ("limit" if group == "memory/job" else "memory.max")).write_text(limit)
+    (tmp_path / "cgroup").write_text("0::/slurm/job_7/step_0\nno group\n")
+    assert model.memory() == 2000.0
+    (tmp_path / "cgroup").write_text("5:cpuset:/job\n4:hugetlb,memory:/job\n0::/slurm/job_7/step_0\n")
+    assert model.memory() == 1000.0
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from planner.problem import Problem
 from planner.toolpath.workload import Workload, fewer
@@ -23,8 +24,13 @@ _BYTES, _WAYPOINT, _SAMPLE, _BALL, _AT_REST = 430e6, 3.3e3, 0.16e3, 0.6e3, 1.1e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it
-# of containers, version 2 and 1: a number of bytes, or a word where there is no limit
-_CONTAINER = (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"))
+# Groups of processes, as containers and jobs of a cluster are, of version 2 and 1: by the name of their controller
+# where their files stand, and which has the limit, a number of bytes, or a word where there is none.
+_GROUPS = {
+    "": (Path("/sys/fs/cgroup"), "memory.max"),
+    "memory": (Path("/sys/fs/cgroup/memory"), "memory.limit_in_bytes"),
+}
+_MINE = Path("/proc/self/cgroup")  # names the groups of this process
 
 
 @dataclass(frozen=True)
@@ -68,15 +74,15 @@ def check_memory(problem: Problem, work: Workload, expected: Estimate) -> None:
 
 
 def memory() -> float:
-    """The least of what the machine has, its container may use and the process may ask for [bytes]; infinite where nobody
-    tells."""
+    """The least of what the machine has, its container and the cluster's job may use and the process may ask for [bytes];
+    infinite where nobody tells."""
     return min(_limits(), default=float("inf"))
 
 
 def _limits() -> Iterator[float]:
     if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
         yield float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
-    for path in _CONTAINER:
+    for path in _limits_of_groups():
         try:
             text = path.read_text(encoding="ascii").strip()
         except OSError:
@@ -86,6 +92,25 @@ def _limits() -> Iterator[float]:
     if sys.platform != "win32":
         import resource
 
-        soft, _ = resource.getrlimit(resource.RLIMIT_DATA)
-        if soft != resource.RLIM_INFINITY:
-            yield float(soft)
+        for kind in (resource.RLIMIT_DATA, resource.RLIMIT_AS):  # what is used is less than what is asked for
+            soft, _ = resource.getrlimit(kind)
+            if soft != resource.RLIM_INFINITY:
+                yield float(soft)
+
+
+def _limits_of_groups() -> Iterator[Path]:
+    """Files with limits of the groups that this process is in, and of those around them: a container sees its own as the
+    outermost one, a job of a cluster is inside of others."""
+    for root, name in _GROUPS.values():
+        yield root / name
+    lines: list[str] = []
+    with suppress(OSError):
+        lines = _MINE.read_text(encoding="utf-8", errors="replace").splitlines()
+    for line in lines:  # number:controllers:/path
+        _, controllers, path = [*line.split(":", 2), "", "", ""][:3]
+        for controller in controllers.split(","):
+            if controller in _GROUPS:
+                root, name = _GROUPS[controller]
+                own = PurePosixPath(path.lstrip("/"))
+                for group in (own, *own.parents):
+                    yield root / group / name
