@@ -123,6 +123,21 @@ def test_what_compiled_code_trusts_is_not_taken_when_it_was_changed(
         Plan.load(spoilt(file, change))
 
 
+def test_the_verdict_of_another_version_is_found_anew(tmp_path: Path) -> None:
+    plan = small_plan()
+    loaded = again(replace(plan, versions={**plan.versions, "beadwise": "0.0.1"}), tmp_path)
+    assert changed_since(loaded) == ("verdict",) and loaded.checks == plan.checks
+
+
+def test_an_input_of_another_version_is_not_taken_for_one_that_was_changed(file: Path) -> None:
+    def older(text: dict[str, Any], arrays: dict[str, Any]) -> None:
+        text["beadwise"] = "0.0.1"
+        _speed(text, arrays)
+
+    with pytest.raises(InputError, match=r"does not hold a plan of beadwise 0\.0\.1 as this version has them"):
+        Plan.load(spoilt(file, older))
+
+
 def test_a_plan_that_was_changed_before_it_was_saved_is_verified_anew(tmp_path: Path) -> None:
     plan = small_plan()
     process = plan.problem.process.model_copy(update={"travel_speed": 1.0})

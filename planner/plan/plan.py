@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, ReadOnlyArrays
 from planner.base.errors import InputError
+from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
 from planner.plan.frames import data_frame, data_set
 from planner.plan.robustness import Robustness
@@ -320,7 +321,8 @@ class Plan:
         """The plan that `save` wrote. Its cell is made of its problem and the robots' files again.
 
         What is not as it was when the plan was verified, its file's numbers or a robot's file, is seen by the seal:
-        `write` verifies such a plan anew. Raises InputError for what is no such file, or of another version.
+        `write` verifies such a plan anew, and one that another version has verified. Raises InputError for what is no
+        such file, or holds what this version has otherwise.
         """
         parts = stored_parts(path, {each.name for each in fields(cls)} - {"cell"})
         wrong = [name for name, kind in KINDS.items() if not isinstance(parts[name], kind)]
@@ -330,6 +332,8 @@ class Plan:
         cell = build_cell(parts["problem"])
         motions = [(name, parts[name]) for name in ("trajectory", "asked") if parts[name] is not None]
         _refuse_wrong([name for name, each in motions if not each.is_of(len(cell.joint_names))], path)
+        if parts["seal"] and parts["versions"].get("beadwise") != versions()["beadwise"]:
+            parts["seal"] = {**parts["seal"], "verdict": ""}
         return cls(cell=cell, **parts)
 
     @property

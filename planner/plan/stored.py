@@ -99,6 +99,7 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
         raise InputError("is no plan that was saved", file=source, hint="plan.save(path) makes one") from error
     if not isinstance(found, dict) or found.get("format") != FORMAT:
         raise InputError("is no plan that was saved by this version", file=source, hint="plan it again")
+    unlike = f"does not hold a plan of beadwise {found.get('beadwise')} as this version has them"
     try:
         giving = _Giving(found["objects"], arrays)
         parts: dict[str, Any] = {name: giving.of(value) for name, value in found["plan"].items()}
@@ -107,13 +108,12 @@ def stored_parts(path: str | Path, names: Collection[str]) -> dict[str, Any]:
             raise KeyError("other parts")
         changed = [name for name in INPUTS if _digest(parts[name]) != found["inputs"][name]]
     except _UNLIKE as error:
-        by = f" of beadwise {found.get('beadwise')}"
-        raise InputError(
-            f"does not hold a plan{by} as this version has them", file=source, hint="plan it again"
-        ) from error
+        raise InputError(unlike, file=source, hint="plan it again") from error
     if changed:
         # Searched by compiled code, which trusts what it is given. A motion or a verdict that was changed is verified anew.
-        raise InputError(f"not what was saved: its {' and its '.join(changed)}", file=source, hint="plan it again")
+        other = found.get("beadwise") != versions().get("beadwise")  # where a new field is missing, it is another input
+        reason = unlike if other else f"not what was saved: its {' and its '.join(changed)}"
+        raise InputError(reason, file=source, hint="plan it again")
     return parts
 
 
