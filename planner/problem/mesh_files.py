@@ -6,7 +6,6 @@ import io
 import logging
 import re
 import struct
-import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
@@ -22,6 +21,7 @@ from planner.base.budgets import MESH_BYTES, MESH_FACETS
 from planner.base.errors import Complaint
 from planner.base.extras import missing_extra
 from planner.base.files import read_bytes
+from planner.base.warned import warnings_are
 from planner.problem.cad_files import IGES_ENDINGS, STEP_ENDINGS, facets_of_bodies, is_cad
 from planner.problem.part import UNITS, MeshSpec
 
@@ -193,8 +193,7 @@ def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     _check_count(path, count, where)
     reason = f"{path.name} is damaged"
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings_are("error"):
             mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl_ascii", process=False)
     except (ValueError, IndexError, KeyError, TypeError, Warning, trimesh.exchange.stl.HeaderError) as error:
         raise where(f"{reason}: {error}") from error
@@ -299,8 +298,7 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
         logging.NullHandler()
     )  # what it cannot read is told by us, without a traceback
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings_are("ignore"):
             found: Any = trimesh.load(io.BytesIO(data), file_type=kind, process=False, **options)
             mesh = found.to_mesh() if isinstance(found, trimesh.Scene) else found
     except _UNREADABLE as error:
@@ -314,8 +312,7 @@ def _by_trimesh(path: Path, data: bytes, kind: str, where: Complaint, **options:
 def _check_pieces(path: Path, data: bytes, kind: str, where: Complaint) -> None:
     """Raises the InputError of `where` for facets that trimesh, which cuts each from its first corner, cuts wrongly."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings_are("ignore"):
             count = _wrongly_cut(*_POLYGONS[kind](data))
     except _UNREADABLE as error:
         raise where(f"{path.name} is no {kind.upper()} file, or damaged: {error}") from None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -18,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
+from planner.base.warned import warnings_are
 from planner.problem import Problem
 from planner.problem.rewrite import Value
 from planner.register.contacts import axis_of
@@ -55,8 +55,7 @@ def changes_of(problem: Problem, placement: Placement, start: Placement, free: S
 
 def rpy_degrees(R: Array) -> list[float]:
     """The turns about x, then y, then z of the parent's frame that make a rotation (3, 3) [deg]."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # where y is turned by 90 degrees x and z are one, and x is chosen
+    with warnings_are("ignore", UserWarning):  # where y is turned by 90 degrees x and z are one, and x is chosen
         angles = Rotation.from_matrix(R).as_euler("xyz", degrees=True)
     return [float(a) + 0.0 for a in np.round(angles, _DEG)]
 

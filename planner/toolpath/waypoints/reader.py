@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import math
 import re
-import warnings
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +24,7 @@ from planner.base.budgets import WAYPOINT_BYTES, WAYPOINTS
 from planner.base.errors import Complaint, InputError, nearest_name
 from planner.base.files import read_bytes, read_text
 from planner.base.geometry import angles_between, arc_lengths
+from planner.base.warned import warnings_are
 from planner.problem.layers import WaypointsSpec
 from planner.problem.waypoint_arrays import WaypointArrays
 from planner.toolpath.waypoints.nameless import meant_otherwise, odd_lengths
@@ -203,8 +203,7 @@ def _text(path: Path, unit: str, complain: Complaint) -> Columns:
         rows = [row.replace(",", " ") for row in rows]
     use = list(layout.places.values())
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
+        with warnings_are("error", UserWarning):
             table = np.loadtxt(rows, dtype=float, comments=None, delimiter=layout.separator, usecols=use, ndmin=2)
     except (ValueError, UserWarning):
         table = np.array([_row(path, layout, row, i) for row, i in zip(rows, numbers, strict=True)])
