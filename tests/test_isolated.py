@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import sysconfig
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from planner.base import isolated
 from planner.base.isolated import Killed, ask, asked_ahead
 from planner.base.processes import in_background, spare_core
 
@@ -82,3 +84,19 @@ def test_what_is_killed_tells_nothing(log: Path) -> None:
         twice(log, -1)
     with asked_ahead(MODULE, {"x": None, "log": str(log)}):  # it fails
         assert ask(MODULE, {"x": None, "log": str(log)}, LONGEST) is None
+
+
+def test_the_folder_of_installed_packages_is_not_put_before_python_s_own_modules(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/mine")
+    monkeypatch.setattr(isolated, "_ROOT", Path("/clone"))
+    assert isolated._environment()["PYTHONPATH"] == f"/clone{os.pathsep}/mine"
+    monkeypatch.setattr(isolated, "_ROOT", Path(sysconfig.get_path("purelib")).resolve())
+    assert isolated._environment()["PYTHONPATH"] == "/mine"
+
+
+def test_files_of_the_present_folder_are_no_modules(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PYTHONPATH")
+    monkeypatch.chdir(log.parent)
+    assert ask(MODULE, {"x": 1, "log": str(log)}, LONGEST) is None

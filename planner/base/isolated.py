@@ -12,6 +12,7 @@ import os
 import signal
 import subprocess
 import sys
+import sysconfig
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -86,17 +87,26 @@ def _key(module: str, question: Mapping[str, Any]) -> str:
 
 def _begin(module: str, question: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     """A process that was asked a question."""
-    paths = os.pathsep.join([str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     with TemporaryFile() as asked:
         asked.write(json.dumps({**question, "parent": os.getpid()}).encode())
         asked.seek(0)
         return subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-P", "-m", module],  # -P: files of the present folder are no modules
             stdin=asked,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": paths},
+            env=_environment(),
         )
+
+
+def _environment() -> dict[str, str]:
+    """What a process needs to find this package. Where Python finds it anyway its folder is not named: named, it would
+    stand before Python's own modules, of which some (`pathlib`, `typing`) can be installed in an old form beside it."""
+    given = dict(os.environ)
+    if Path(sysconfig.get_path("purelib")).resolve() == _ROOT:
+        return given
+    paths = os.pathsep.join([str(_ROOT), *filter(None, [given.get("PYTHONPATH")])])
+    return {**given, "PYTHONPATH": paths}
 
 
 def answer(function: Callable[[dict[str, Any]], Mapping[str, Any]]) -> int:
