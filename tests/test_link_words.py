@@ -27,6 +27,7 @@ from planner.link.messages import (
     stop,
 )
 from planner.link.program_lines import ProgramLine, read_program_lines
+from planner.link.telling import going_on
 
 
 @settings(max_examples=60, deadline=None)
@@ -170,3 +171,13 @@ def test_only_the_demo_knows_of_the_simulators() -> None:
             if f"from {word}" in path.read_text("utf-8")
         }
         assert bool(known) == (path.name == "demo.py"), path.name
+
+
+def test_prints_that_were_made_in_python_are_gone_on_with_there() -> None:
+    plan = {"problem": "cup", "problem_file": "cup.yaml", "strategy": "sqp", "settings": {"overrides": []}}
+    command = "to go on: python -m planner.solve cup.yaml --from-bead 3 --strategy sqp"
+    assert going_on(plan, "PROBLEM").lines(3) == [command]
+    own = {"settings": {"overrides": [], "terms": ["keep_away"]}}
+    for change in ({"problem_file": None}, {"strategy": "mine"}, own):
+        (line,) = going_on(plan | change, "PROBLEM").lines(3)
+        assert "solve(..., first_bead=3) in Python" in line

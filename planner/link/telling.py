@@ -18,6 +18,7 @@ from planner.base.results import digest
 from planner.base.shipped import PROBLEMS
 from planner.link.program_lines import NO_BEAD, ProgramLines
 from planner.link.relay import STANDING, LogNote, RelayState, RunOutcome, RunStatus
+from planner.problem.settings import STRATEGY_NAMES
 
 SETTLED = 10.0  # s of the run after which its own pace gives the time that is left
 OF_PLAN = ("problem", "problem_file", "problem_sha256", "strategy", "settings")  # keys that say how it is planned again
@@ -104,7 +105,8 @@ def duration(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class GoingOn:
-    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead.
+    """How a print is planned again, in words of the command line: its problem, and what stands behind the bead; or in Python,
+    where it was made with what no command has.
 
     file     the problem's, or its name where it ships
     sha256   of the file as it was planned; empty where that is not known
@@ -114,9 +116,12 @@ class GoingOn:
     options: str = ", with the same --set and --strategy"
     file: str = ""
     sha256: str = ""
+    in_python: bool = False
 
     def lines(self, bead: int) -> list[str]:
         """How to go on from a bead, and before that what stands against it."""
+        if self.in_python:
+            return [f"to go on: solve(..., first_bead={bead}) in Python, with all else as {self.problem} was planned"]
         command = f"to go on: python -m planner.solve {self.problem} --from-bead {bead}{self.options}"
         if not self._is_changed():
             return [command]
@@ -135,15 +140,19 @@ class GoingOn:
 
 
 def going_on(plan: Mapping[str, Any], name: str) -> GoingOn:
-    """How the print of a plan.json is planned again; by the name in its program's header where that does not say."""
+    """How the print of a plan.json is planned again; by the name in its program's header where that does not say. Only Python
+    has waypoints from arrays, which are in no file, and strategies and terms of a user's own."""
     try:
         problem, sha256 = plan.get("problem_file") or plan["problem"], plan.get("problem_sha256")
         words = ["--strategy", plan["strategy"]]
-        for override in plan["settings"]["overrides"]:
+        settings = plan["settings"]
+        for override in settings["overrides"]:
             words += ["--set", override]
         known = sha256 if isinstance(sha256, str) else ""
-        return GoingOn(shlex.quote(problem), f" {shlex.join(words)}", problem, known)
-    except (KeyError, TypeError):
+        arrays = "problem_file" in plan and plan["problem_file"] is None
+        in_python = arrays or plan["strategy"] not in STRATEGY_NAMES or bool(settings.get("terms"))
+        return GoingOn(shlex.quote(problem), f" {shlex.join(words)}", problem, known, in_python)
+    except (AttributeError, KeyError, TypeError):
         return GoingOn(name)
 
 
