@@ -14,6 +14,7 @@ from planner import add_robot, load
 from planner.base.errors import InputError, OutputError
 from planner.cell.cell import build_cell
 from planner.cell.robot import Robot, read_robot
+from planner.robots import adding
 from tests.public_arms import ARMS, urdf_of
 
 KR10 = urdf_of(ARMS["KUKA KR 10 R1420"], bodies=True)
@@ -62,6 +63,20 @@ def test_a_file_that_is_there_is_kept_with_what_was_changed_in_it(urdf: Path, tm
     other.write_text(KR10, encoding="utf-8")
     with pytest.raises(OutputError, match="is of another robot"):
         add_robot(other, file)
+
+
+def test_nobody_sees_half_of_a_robot_s_file(urdf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of several jobs that run one script, those that come later take a file that is there for the robot's."""
+    there: list[bool] = []
+
+    def nothing_touches(*_: object) -> adding.Touching:
+        there.append((tmp_path / "mine.yaml").exists())
+        return adding.NOTHING
+
+    monkeypatch.setattr(adding, "touching", nothing_touches)
+    file = add_robot(urdf, tmp_path / "mine.yaml")
+    assert there == [False] and read_robot(file).key == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == {"kr10.urdf", "mine.yaml"}
 
 
 def test_it_is_named_after_the_robot(urdf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

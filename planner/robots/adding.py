@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -132,27 +133,31 @@ def added(
                 f"{source} is there already, and is not what xacro makes: remove it, or add it in its place"
             )
     made, whole = text is not None and not source.exists(), None
+    # Other jobs that add the same robot take a file that is there for the robot's: what is half done is not there.
+    draft = file.with_name(f".{os.getpid()}_{file.name}")
     try:
         if text is not None:
             source.write_text(text, encoding="utf-8")
         # plainly first: what its bodies are like is looked at as it is read
-        file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
-        robot = read_robot(file)
+        draft.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
+        robot = read_robot(draft)
         if tip is None and (end := frame_at_the_end(read, robot, found.outwards)) is not None:
             found = survey(read, end, named=False)
-            file.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
-            robot = read_robot(file)
+            draft.write_text(robot_text(found, NOTHING, source, file, language), encoding="utf-8")
+            robot = read_robot(draft)
         found = replace(found, notes=(*found.notes, *_notes(read, robot, found)))
         touch = touching(read, robot)
-        file.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
-        whole = Added(found, touch, read_robot(file))
+        draft.write_text(robot_text(found, touch, source, file, language), encoding="utf-8")
+        robot = replace(read_robot(draft), key=file.stem)
+        os.replace(draft, file)
+        whole = Added(found, touch, robot)
     except OSError as error:
-        raise OutputError(f"cannot write {error.filename}: {error.strerror}") from error
+        where = file if str(error.filename) == str(draft) else error.filename
+        raise OutputError(f"cannot write {where}: {error.strerror}") from error
     finally:
-        if whole is None:  # interrupted, too: what is half done would count as the robot's file next time
-            file.unlink(missing_ok=True)
-            if made:
-                source.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
+        if whole is None and made:
+            source.unlink(missing_ok=True)
     return file, whole
 
 
