@@ -59,7 +59,7 @@ CASES: dict[str, tuple[Callable[[], object], str]] = {
     "branch": (lambda: paths_of([0.0] * 3, branches=[0, 99, 0]), "branches[1]: there is no branch 99 (0 to 7)"),
     "a branch's name": (lambda: paths_of([0.0] * 3, branches=["up"] * 3), "branches[0]: must be a whole number"),
     "strategy of one's own": (lambda: register_strategy("x", any_), "strategy: cannot be called: it is nothing"),
-    "unit": (lambda: Toolpath.from_arrays(np.eye(3), [0, 0, 1], unit=any_), "unit: must be 'm' or 'mm', not None"),
+    "unit": (lambda: Toolpath.from_arrays(np.eye(3), [0, 0, 1], unit=1e-3), "unit: must be 'm' or 'mm', not 0.001"),  # type: ignore[arg-type]
     "masked": (
         lambda: Toolpath.from_arrays(np.ma.masked_array(np.eye(3), np.eye(3)), [0, 0, 1]),
         "points: has masked values (leave these waypoints out)",

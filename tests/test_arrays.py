@@ -183,6 +183,7 @@ def at(i: int, value: Any, of: Array = GOOD) -> Array:
         (lambda: Toolpath.from_arrays([GOOD, at(4, np.inf)], UP), "points[1][4]: (inf, inf, inf) is no point"),
         (lambda: Toolpath.from_arrays(at(4, 150.0), UP), "points[4]: (150, 150, 150) m is farther than 100 m"),
         (lambda: Toolpath.from_arrays(at(4, 150.0), UP), "unit='mm'"),
+        (lambda: Toolpath.from_arrays(1e3 * GOOD, UP), "points: are taken for metres, and the print is 50 x 0 x 0 m large (unit='mm' if"),
         (lambda: Toolpath.from_arrays(GOOD, np.tile(UP, (7, 1))), "normals: has shape (7, 3), points (30, 3)"),
         (lambda: Toolpath.from_arrays(GOOD, at(7, 0.0, np.tile(UP, (30, 1)))), "normals[7]: (0, 0, 0) has no length"),
         (lambda: Toolpath.from_arrays(GOOD, at(7, 1e-9, np.tile(UP, (30, 1)))), "normals[7]: (1e-09, 1e-09, 1e-09) has no length"),
@@ -205,6 +206,12 @@ def test_wrong_arrays_are_said(make: Callable[[], object], message: str) -> None
     with pytest.raises(InputError) as error:
         make()
     assert message in str(error.value)
+
+
+def test_what_is_said_to_be_in_metres_may_be_large() -> None:
+    assert Toolpath.from_arrays(1e3 * GOOD, UP, unit="m").points[-1, 0] == 50.0
+    assert Toolpath.from_arrays(1e3 * GOOD, UP, unit="mm").points[-1, 0] == pytest.approx(0.05)
+    assert Toolpath.from_arrays(GOOD + 40.0, UP).points[0, 0] == 40.0  # which is far, not large
 
 
 @pytest.mark.parametrize(

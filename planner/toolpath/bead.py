@@ -229,7 +229,7 @@ class Toolpath:
         layer: ArrayLike | Sequence[ArrayLike] | None = None,
         width: ArrayLike | Sequence[ArrayLike] | None = None,
         height: ArrayLike | Sequence[ArrayLike] | None = None,
-        unit: Literal["m", "mm"] = "m",
+        unit: Literal["m", "mm"] | None = None,
     ) -> WaypointArrays:
         """Waypoints from arrays, to be planned with `solve(load(problem, toolpath=...))`: they are laid as those of a file.
 
@@ -238,7 +238,7 @@ class Toolpath:
         bead     (n) whole numbers: a bead ends where it changes; without it, where a step is longer than three median ones
         layer    (n), or one for each bead of a list: whole numbers; without it, layers are found from where beads lie
         width, height (n), one for each bead of a list, or one for all; without them, those of process.bead
-        unit     of points, width and height: "m" or "mm"
+        unit     of points, width and height: "m" or "mm"; "m" if not given, but what is larger than 5 m has to say so
 
         Corners are rounded, noise smoothed and crumbs left out as the problem's process and layers.source say.
         Raises InputError that names argument, index and shape.

@@ -14,6 +14,9 @@ from planner.base.errors import InputError
 from planner.problem.waypoint_arrays import WaypointArrays
 from planner.toolpath.waypoints.reader import FARTHEST, MOST_LAYERS, SIZES, TO_SI, have_length
 
+# m: few prints are larger, and few are smaller than 5 mm. Millimetres that are taken for metres are kilometres of path, each
+# place of which is looked at before anybody asks what the arm reaches.
+LARGEST_UNSAID = 5.0
 _ONE_BY_ONE = "(n, 3), or a list of such arrays, one for each bead"
 
 
@@ -25,9 +28,12 @@ def waypoints_of(
     layer: ArrayLike | Sequence[ArrayLike] | None = None,
     width: ArrayLike | Sequence[ArrayLike] | None = None,
     height: ArrayLike | Sequence[ArrayLike] | None = None,
-    unit: Literal["m", "mm"] = "m",
+    unit: Literal["m", "mm"] | None = None,
 ) -> WaypointArrays:
     """See `Toolpath.from_arrays`."""
+    unsaid = unit is None
+    if unit is None:
+        unit = "m"
     if not isinstance(unit, str) or unit not in TO_SI:
         raise InputError(f"must be 'm' or 'mm', not {unit!r}", field="unit")
     x, firsts = _points(points)
@@ -43,6 +49,11 @@ def waypoints_of(
     far = "{} " + f"{unit} is farther than {FARTHEST / 1e3:g} m from the origin"
     hint = "points are in metres unless unit='mm' is given" if unit == "m" else None
     _check("points", x / TO_SI[unit], at, np.abs(x).max(axis=1) <= 1e-3 * FARTHEST, far, hint)
+    size = np.ptp(x, axis=0)
+    if unsaid and float(size.max()) > LARGEST_UNSAID:
+        large = " x ".join(f"{each:.3g}" for each in size)
+        hint = "unit='mm' if they are millimetres, unit='m' if it is as large as that"
+        raise InputError(f"are taken for metres, and the print is {large} m large", field="points", hint=hint)
     _check("normals", n, at, np.isfinite(n).all(axis=1), "{} is no direction")
     _check("normals", n, at, have_length(n), "{} has no length", "a direction, of any length")
     sizes: dict[str, Array | None] = {}
