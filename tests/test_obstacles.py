@@ -9,7 +9,7 @@ import pytest
 from collision_cells import Placed, coal_distance, placed, with_bodies
 from scipy.spatial.transform import Rotation
 
-from planner.base.errors import Refusal
+from planner.base.errors import InputError, Refusal
 from planner.cell.cell import Cell, build_cell
 from planner.cell.solids import Body, Box, Capsule, Frustum, Hull, Mesh, Solid, packed, triangles_of
 from planner.collision.gjk import solids_distance
@@ -109,6 +109,14 @@ def head_point_margin(cell: Cell, body: Placed, point: np.ndarray, tip: np.ndarr
     T[:3, 3] = place
     away = np.linalg.norm(place - tip)
     return coal_distance(body.solid, body.T, Capsule(1e-3, 0.0), T) - min(2e-3, TIP_SLOPE * away - 0.5e-3)
+
+
+def test_postures_without_their_times_or_joints_are_refused(scene: tuple[Cell, Obstacles]) -> None:
+    cell, obstacles = scene
+    q = some_postures(cell, 3)
+    for postures, now in ((q, 0.5), (q, np.zeros(2)), (q[:, :5], np.zeros(3)), (q[0], np.zeros(1))):
+        with pytest.raises(InputError, match=r"postures have shape .*, times"):
+            obstacles.margins(postures, now, np.inf)  # type: ignore[arg-type]
 
 
 def test_margins_are_those_of_brute_force(scene: tuple[Cell, Obstacles]) -> None:

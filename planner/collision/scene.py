@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Ints
+from planner.base.errors import InputError
 from planner.base.processes import in_blocks
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.kinematics.chain import Chain, joint_move
@@ -227,10 +228,16 @@ class Obstacles:
 
     def margins(self, q: Array, now: Array, enough: float, more: float = 0.0) -> tuple[Array, Ints]:
         """Least clearance (n) beyond what is needed at postures q (n, nj) at times of the print now (n), if below
-        `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides."""
+        `enough` [m]; and which pair (n) has it, or -1. `more` [m] is asked for between bodies besides.
+
+        Raises InputError for other shapes: compiled code would read beyond their ends.
+        """
         margin, which = np.full(len(q), enough), np.full(len(q), -1, dtype=np.int64)
         if self.any:
             q, now = np.ascontiguousarray(q), np.ascontiguousarray(now)
+            joints = len(self.table.axes)
+            if q.ndim != 2 or q.shape[1] < joints or now.shape != (len(q),):
+                raise InputError(f"postures have shape {q.shape}, times {now.shape}", hint=f"(n, {joints}) and (n,)")
             in_blocks(
                 lambda at: least_margins(self.table, q[at], now[at], enough, more, margin[at], which[at]), len(q), BLOCK
             )
