@@ -198,8 +198,6 @@ DRAWINGS: dict[str, tuple[str | bytes, tuple[str, ...]]] = {
         ("draws nothing",),
     ),
     "text": (SVG.replace("</svg>", "  <text>Hello</text>\n</svg>"), ("small.svg:5:", "text")),
-    "one point": (SVG.replace("M1,1 L11,1 L11,9 L20,4", "M1,1"), ("small.svg:2:", "point")),
-    "one point twice": (SVG.replace("M1,1 L11,1 L11,9 L20,4", "M1,1 L1,1"), ("small.svg:2:", "point")),
     "huge coordinates": (SVG.replace("L20,4", "L1e300,4"), ("small.svg:2:", "1e300")),
     "coordinate that is no number": (SVG.replace("L20,4", "Lnan,4"), ("small.svg:2:",)),
     "another file's shape": (

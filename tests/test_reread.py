@@ -37,7 +37,7 @@ from planner.verify.checks import Findings, Judged, asked_speeds
 from planner.verify.reread.facets import facets_of
 from planner.verify.reread.lines import between_ends
 from planner.verify.reread.part_surface import distances_from_facets, feet, level_of
-from planner.verify.reread.plane_curves import _nurbs, read_again
+from planner.verify.reread.plane_curves import NotRead, _nurbs, read_again
 from planner.verify.reread.points import Segments, segments_of
 from planner.verify.reread.printed import as_the_problem_says
 from planner.verify.reread.scan import sheets_at
@@ -440,6 +440,9 @@ def test_files_that_cannot_be_read_again_say_so(tmp_path: Path, with_it: str, wh
         'path d="M0.5 0L10.5 5L20. 7L30.5 9"',
         'path d="M0. 0.5L10 5L20 0l1.e1 5.l3..5"',
         "polyline points='0. 0. 10.5 5. 20. 0'",
+        'path d="M0 0L9 9"/><path fill="none" d="M-9-9H90"',
+        'g fill="none"><path stroke="red" d="M0 0L9 9M50 50l0 0"/><rect width="90" height="90"/></g><path d="M99 9z"',
+        'path d="M99 9z"/><path/><path d="M0 99c0 0 0 0 0 0"/><path fill="none" d="M0 0L9 9"',
     ],
 )
 def test_paths_that_svgelements_would_read_otherwise(tmp_path: Path, drawn: str) -> None:
@@ -449,6 +452,26 @@ def test_paths_that_svgelements_would_read_otherwise(tmp_path: Path, drawn: str)
     assert isinstance(again, tuple)
     ours = [each.points for each in read_svg(path, 0.05, 1e-6)]
     assert max(far_from(list(again), ours), far_from(ours, list(again))) < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("rule", "known"),
+    [
+        (".a.b{fill:none}", False),
+        ("g > path{stroke:red}", False),
+        (".b{} .a{fill:none}", False),
+        ("/* g > path */ .a, #b, path.c{fill:none}", True),
+        (".a:hover{opacity:0.5}", False),
+        (".a:hover{color:red}", True),
+    ],
+)
+def test_rules_that_svgelements_passes_over(tmp_path: Path, rule: str, known: bool) -> None:
+    path = tmp_path / "a.svg"
+    sheet = f"<style><![CDATA[{rule}]]></style>"
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{sheet}<path d="M0 0L9 9"/></svg>')
+    assert isinstance(read_again(SvgSpec.model_construct(svg=path, width=0.05)), NotRead) != known
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" class="a">{sheet}<path d="M0 0L9 9"/></svg>')
+    assert isinstance(read_again(SvgSpec.model_construct(svg=path, width=0.05)), NotRead) == ("color" not in rule)
 
 
 def test_ends_that_are_joined_are_printed_between(tmp_path: Path) -> None:

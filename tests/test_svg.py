@@ -330,6 +330,29 @@ def test_what_is_drawn_twice_is_printed_once(tmp_path: Path) -> None:
     assert len(toolpath.beads) == 3 and "layers.source.svg: 2 paths drawn twice left out" in toolpath.notes
 
 
+def test_what_no_one_sees_is_left_out_and_told(tmp_path: Path) -> None:
+    """Frames without fill and stroke, as around icons, unless all is like that, and points that were left behind."""
+    file = tmp_path / "icon.svg"
+
+    def read(content: str) -> tuple[list[str], tuple[str, ...]]:
+        file.write_text(f'<svg xmlns="{SVG}">{content}</svg>')
+        paths, told = read_svg_once(file, 0.1, 1e-5)
+        assert np.ptp(np.vstack([path.points for path in paths])[:, 0]) == pytest.approx(0.1)
+        return [path.name for path in paths], tuple(each.removeprefix("layers.source.svg: ") for each in told)
+
+    frame = '<path id="frame" fill="none" d="M-9-9h99v99h-99z"/>'
+    line = '<path id="line" stroke="red" d="M0 0L30 0L30 9"/><rect class="a" width="70" height="70"/>'
+    line = f'<g fill="none">{line}</g>'
+    unseen = "with neither fill nor stroke, which no one sees, left out"
+    style = "<style>.a{stroke:transparent}</style>"
+    assert read(frame + line + style) == (["line"], (f"2 shapes {unseen}",))
+    assert read(frame) == (["frame"], ())
+    assert read(f"<style>g > path{{stroke:red}}</style>{frame}{line}") == (["frame", "line", "rect 1"], ())
+    dots = '<path d="M500 5"/><path stroke="red" d="M700 5Z"/><line x1="3" x2="3"/><polyline points="1 1"/>'
+    assert read(dots + '<path d=""/>' + line) == (["line"], (f"1 shape {unseen}", "4 single points left out"))
+    assert read('<path id="x" stroke="red" d="M5 5M0 0L1 1"/>') == (["x"], ("1 single point left out",))
+
+
 def test_symbols_are_fitted_into_their_use(read: Read) -> None:
     content = (
         '<symbol id="s" viewBox="0 0 10 20"><path d="M0 0L10 20"/></symbol>'
@@ -438,18 +461,10 @@ REFUSALS = [
     ('<path d="M0 0Lnan 1"/>', "path data is wrong"),
     ('<path d="M0 0L inf 1"/>', "path data is wrong"),
     ('<path d="M0 0L' + "1" * 50_000 + 'x"/>', "path data is wrong"),
-    ('<path d=""/>', "no path data"),
-    ("<path/>", "no path data"),
     ('<path id="x" d="M0 0L1e300 1"/>', "path 'x': path data goes beyond 1e\\+07"),
     ('<path d="M0 0L1e999 1"/>', "path data goes beyond"),
     ('<path d="M0 0' + "l9e6 1" * 3 + '"/>', "lies beyond 1e\\+07"),
     ('<g transform="scale(1e6)"><path d="M0 0L100 1"/></g>', "lies beyond"),
-    ('<path id="x" d="M5 5"/>', "path 'x': it is a single point"),
-    ('<path d="M5 5Z"/>', "single point"),
-    ('<path id="x" stroke="red" d="M5 5M0 0L1 1"/>', "path 'x': its subpath 1 is a single point"),
-    ('<path id="x" style="stroke:red" d="M0 0L1 1M5 5L5 5"/>', "path 'x': its subpath 2 is a single point"),
-    ('<line x1="3" x2="3"/>', "line 1: it is a single point"),
-    ('<polyline points="1 1"/>', "single point"),
     ('<polygon points="1 1 2"/>', "polygon 1: points are not pairs of numbers from character 5"),
     ('<polygon points=""/>', "points are not pairs"),
     ('<polygon points="1e8 1 2 2"/>', "points lie beyond"),

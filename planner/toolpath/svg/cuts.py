@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array
 from planner.base.budgets import SVG_CROSSINGS, SVG_WINDINGS
-from planner.toolpath.svg.document import BLACK, MAX_POINTS, OPAQUE
+from planner.toolpath.svg.document import BLACK, MAX_POINTS, OPAQUE, UNPAINTED
 from planner.toolpath.svg.drawing import Outline, Region
 from planner.toolpath.svg.shapes import OutlinePiece
 
@@ -77,7 +77,6 @@ def _left(shape: list[Outline], seen: shapely.Geometry, near: shapely.Geometry, 
         replace(
             shape[0],
             name=f"{shape[0].element}.{k}" if len(found) > 1 else shape[0].element,
-            part=f"part {k} of what is seen of it" if len(found) > 1 else "what is seen of it",
             pieces=(OutlinePiece("lines", points),),
             closed=closed,
             cuts=(),
@@ -126,7 +125,7 @@ def _shows(region: Region, outline: Outline) -> bool | None:
 
 
 def _filled(outline: Outline) -> bool:
-    return _paint(outline).get("fill", "black").strip().lower() not in ("none", "transparent")
+    return _paint(outline).get("fill", "black").strip().lower() not in UNPAINTED
 
 
 def _paint(outline: Outline) -> dict[str, str]:

@@ -52,6 +52,7 @@ SHOWN = ("display", "visibility")
 # What inherits, and matters only where something is cut: of a filled shape another outline is left than of a line.
 PAINT = ("fill", "fill-rule", "clip-rule", "stroke")
 OPACITY = ("opacity", "fill-opacity")
+UNPAINTED = ("none", "transparent")
 BLACK = {"black", "#000", "#000000", "rgb(0,0,0)"}
 OPAQUE = re.compile(r"#[0-9a-f]{3}(?:[0-9a-f]{3})?|[a-z]+|rgb\([^,/)]+,[^,/)]+,[^,/)]+\)")
 READ = (*CUTS, *SHOWN, *PAINT, *OPACITY, "mask-type")

@@ -24,6 +24,7 @@ from planner.toolpath.svg.document import (
     READ,
     SHAPES,
     SHAPING,
+    UNPAINTED,
     XLINK_HREF,
     Node,
     Rule,
@@ -43,7 +44,7 @@ MOVING = ("transform-origin", "refX", "refY", "systemLanguage", "requiredExtensi
 
 @dataclass(frozen=True)
 class Outline:
-    """One visible subpath, in the root's user units; `part` says which of its element's.
+    """One visible subpath, in the root's user units.
 
     shape, element   number and name that all subpaths of one drawn element share
     paint            of PAINT and OPACITY what is given to it
@@ -52,13 +53,18 @@ class Outline:
 
     node: Node
     name: str
-    part: str
     pieces: tuple[OutlinePiece, ...]
     closed: bool
     shape: int
     element: str
     paint: dict[str, str]
     cuts: tuple[Region, ...]
+
+    @property
+    def invisible(self) -> bool:
+        """Whether it has neither fill nor stroke, and no rule that is not read could give it one."""
+        fill, stroke = self.paint.get("fill", "black"), self.paint.get("stroke", "none")
+        return "unread" not in self.paint and all(each.strip().lower() in UNPAINTED for each in (fill, stroke))
 
 
 @dataclass(frozen=True)
@@ -93,11 +99,12 @@ class ElementContext:
 
 
 class Drawing:
-    """Walks the tree of elements and collects what is visible."""
+    """Walks the tree of elements and collects what is visible; `dots` counts the subpaths that are single points."""
 
     def __init__(self, root: Node) -> None:
         self._root = root
         self._drawn: list[Outline] = []
+        self.dots = 0
         self._elements = self._points = self._shapes = self._segments = 0
         self._subpaths: dict[int, list[Subpath]] = {}
         self._counts: dict[int, int] = {}
@@ -232,13 +239,13 @@ class Drawing:
             place = replace(place, matrix=place.matrix @ transform_matrix(node))
         box = None if node.tag == "clipPath" else mask_box(node)
         inside = replace(place, paint=paint, cuts=self._cuts(node, style, place), depth=place.depth + 1)
-        drawn, self._drawn = self._drawn, []
+        drawn, self._drawn, dots = self._drawn, [], self.dots
         for child in node.children:
             if node.tag == "clipPath" and child.tag not in SHAPES | NOT_DRAWN | {"use"}:
                 raise child.error(f"<{child.tag}> cannot stand in a <clipPath>")
             self._draw(child, inside, None)
         outlines = tuple(replace(outline, paint=self._plain(outline)) for outline in self._drawn)
-        self._drawn = drawn
+        self._drawn, self.dots = drawn, dots
         if box is not None:
             box = box @ place.matrix[:2, :2].T + place.matrix[:2, 2]
         return Region(node, outlines, style.get("mask-type") == "alpha", box)
@@ -266,20 +273,18 @@ class Drawing:
         self._points += sum(len(piece.points) for pieces, _ in subpaths for piece in pieces)
         if self._points > 4 * MAX_POINTS:  # controls included; the points themselves are counted once the size is known
             raise node.error(f"from here on there are more than {MAX_POINTS} points")
-        if len(subpaths) > 1 and place.paint.get("stroke", "none") == "none":
-            # unstroked, a point beside other subpaths draws nothing
-            subpaths = [s for s in subpaths if any(np.ptp(piece.points, axis=0).any() for piece in s[0])] or subpaths
+        lines = [each for each in subpaths if any(np.ptp(piece.points, axis=0).any() for piece in each[0])]
+        if not lines or place.paint.get("stroke", "none") != "none":  # unstroked, a point beside lines draws nothing
+            self.dots += len(subpaths) - len(lines)
         name = "/".join([*(use.id for use in place.uses if use.id), node.id or f"{node.tag} {node.number}"])
-        for k, (pieces, closed) in enumerate(subpaths, 1):
+        for k, (pieces, closed) in enumerate(lines, 1):
             linear, shift = place.matrix[:2, :2].T, place.matrix[:2, 2]
             mapped = tuple(replace(piece, points=piece.points @ linear + shift) for piece in pieces)
             ends = (piece.ends if piece.kind == "arc" else piece.points for piece in mapped)
             if not all((np.abs(points) <= MAX_COORDINATE).all() for points in ends):
                 raise node.error(f"it lies beyond {MAX_COORDINATE:g} user units")
-            own_name, part = (name, "it") if len(subpaths) == 1 else (f"{name}.{k}", f"its subpath {k}")
-            self._drawn.append(
-                Outline(node, own_name, part, mapped, closed, self._shapes, name, place.paint, place.cuts)
-            )
+            own_name = name if len(lines) == 1 else f"{name}.{k}"
+            self._drawn.append(Outline(node, own_name, mapped, closed, self._shapes, name, place.paint, place.cuts))
         self._shapes += 1
 
     def _style(self, node: Node) -> dict[str, str]:

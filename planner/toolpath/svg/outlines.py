@@ -13,6 +13,7 @@ import numpy as np
 
 from planner.base.arrays import Array
 from planner.base.errors import InputError
+from planner.problem.mesh_repair import count_of
 from planner.toolpath.svg.cuts import cut_outlines, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
 from planner.toolpath.svg.drawing import Drawing
@@ -39,21 +40,32 @@ def read_svg(
 ) -> tuple[PlanePath, ...]:
     """Read the outlines of a drawing, scaled so that their bounding box is `width` metres wide, in drawing order.
 
-    The outline is what is printed: fill, stroke, dashes, opacity, markers and filters are ignored, and the page's edge
+    The outline is what is printed: colours, dashes, opacity, markers and filters are ignored, and the page's edge
     cuts nothing off. Clip paths and masks do: of a filled shape the outline of what is left is printed, of a line what
-    is left. The origin is the centre of the bounding box and y points up. Curves become chords whose error is
-    at most `flatness` metres; every vertex of the drawing stays a vertex (but for points nearer than 1 % of `flatness`,
-    which are one); straight lines are not divided. Each subpath becomes a path of its own.
+    is left. What has neither fill nor stroke is left out, unless all is so, and so are single points. The origin is the
+    centre of the bounding box and y points up. Curves become chords whose error is at most `flatness` metres; every
+    vertex of the drawing stays a vertex (but for points nearer than 1 % of `flatness`, which are one); straight lines
+    are not divided. Each subpath becomes a path of its own.
 
     `where(reason, hint=...)` makes the InputError for what is wrong with the file as a whole, naming the field that
     asked for it. Raises InputError, with line and element, for whatever cannot be read or printed exactly.
     """
+    return _read(path, width, flatness, where)[0]
+
+
+def _read(
+    path: Path, width: float, flatness: float, where: Callable[..., InputError] | None
+) -> tuple[tuple[PlanePath, ...], list[str]]:
+    """The paths of a drawing, and what of it is left out, in words."""
     complain = partial(InputError, file=path) if where is None else where
     for name, value in (("width", width), ("flatness", flatness)):
         if not (math.isfinite(value) and value > 0):
             raise complain(f"the {name} of the drawing must be positive, not {value:g} m")
     share = (1 - SAME_POINT) * flatness / width
-    outlines = cut_outlines(Drawing(read_document(path, complain)).outlines(), share)
+    drawing = Drawing(read_document(path, complain))
+    drawn = drawing.outlines()
+    seen = [outline for outline in drawn if not outline.invisible] or drawn
+    outlines = cut_outlines(seen, share)
     if not outlines:
         raise complain(f"{path.name} draws nothing", hint="no visible path or basic shape is in it")
     corners = extremes(outlines)
@@ -63,7 +75,7 @@ def read_svg(
     scale = width / float(high[0] - low[0])
     centre, to_metres, same = (low + high) / 2, np.array([scale, -scale]), SAME_POINT * flatness
 
-    paths, room, names = [], MAX_POINTS, Counter[str]()
+    paths, room, names, dots = [], MAX_POINTS, Counter[str](), drawing.dots
     for outline in outlines:
         counts = [piece.count(share * width / scale) for piece in outline.pieces]
         room -= sum(counts) + 1
@@ -76,21 +88,32 @@ def read_svg(
             points[-1] = points[0]
         points = distinct(points, same)
         if len(points) < (3 if closed else 2):
-            raise outline.node.error(f"{outline.part} is a single point (at a width of {1e3 * width:g} mm)")
+            dots += 1
+            continue
         points.flags.writeable = False
         names[outline.name] += 1
         copy = f" ({names[outline.name]})" if names[outline.name] > 1 else ""
         paths.append(PlanePath(outline.name + copy, points, closed))
-    return tuple(paths)
+    if not paths:
+        raise complain(f"{path.name} draws nothing but points", hint="draw it larger: layers.source.width_mm")
+    told = []
+    if len(seen) < len(drawn):
+        unseen = len({outline.shape for outline in drawn}) - len({outline.shape for outline in seen})
+        told.append(f"{count_of(unseen, 'shape')} with neither fill nor stroke, which no one sees, left out")
+    if dots:
+        told.append(f"{count_of(dots, 'single point')} left out")
+    return tuple(paths), told
 
 
 def read_svg_once(
     path: Path, width: float, flatness: float, where: Callable[..., InputError] | None = None
 ) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:
-    """As `read_svg`, without paths that lie on another, which are what is told."""
-    paths, twins = without_twins(read_svg(path, width, flatness, where), flatness)
-    told = f"layers.source.svg: {twins} path{'' if twins == 1 else 's'} drawn twice left out"
-    return tuple(paths), (told,) if twins else ()
+    """As `read_svg`, without paths that lie on another; and what was left out, in sentences."""
+    read, told = _read(path, width, flatness, where)
+    paths, twins = without_twins(read, flatness)
+    if twins:
+        told.append(f"{count_of(twins, 'path')} drawn twice left out")
+    return tuple(paths), tuple(f"layers.source.svg: {each}" for each in told)
 
 
 def distinct(points: Array, same: float) -> Array:

@@ -110,6 +110,8 @@ def subpaths_of(node: Node) -> list[Subpath]:
         return [((OutlinePiece("lines", np.vstack([points, points[:1]]) if closed else points),), closed)]
     if node.tag == "path":
         letters, data = path_commands(node)
+        if not letters:
+            return []
         segments = list(svgelements.Path(data))
         _mend_smooth(letters, segments)
         return _pieces(node, segments)
@@ -136,11 +138,12 @@ def _listed_points(node: Node) -> Array:
 def path_commands(node: Node) -> tuple[str, str]:
     """Check path data against the grammar (SVG 1.1, 8.3.9); return the letter of each segment, and the data.
 
-    svgelements stops or skips in silence at errors, so it is given nothing that has not passed here.
+    Both are empty where there is none. svgelements stops or skips in silence at errors, so it is given nothing that has
+    not passed here.
     """
     data = node.attributes.get("d", "").strip()
     if data in ("", "none"):
-        raise node.error("it has no path data, so it draws nothing")
+        return "", ""
     letters: list[str] = []
     at = 0
     while at < len(data):

@@ -29,6 +29,15 @@ _SPANS = 200  # chords between the knots of a NURBS curve
 # What svgelements does not cut by, and what it draws where it stands instead of where it is used.
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _PATHS = re.compile(rb"""(\s(?:d|points)\s*=\s*)("[^"]*"|'[^']*')""")
+_NO_DATA = re.compile(rb"""(<(?:\w+:)?path)(?=[\s/>])(?!(?:[^<>"']|"[^"]*"|'[^']*')*?\sd\s*=)""")
+_UNPAINTED = ("none", "transparent")
+_SHEETS = re.compile(rb"<(?:\w+:)?style\b[^>]*>(.*?)</(?:\w+:)?style>", re.DOTALL)
+_BESIDE_RULES = re.compile(rb"/\*.*?\*/|<!\[CDATA\[|\]\]>", re.DOTALL)
+_RULE = re.compile(rb"([^{}]*)\{([^{}]*)\}")
+_SELECTOR = re.compile(rb"[\w-]+|#[\w-]+|[\w-]*\.[\w-]+")  # what svgelements reads right
+_OF_SIGHT = re.compile(rb"(?<![\w-])(?:fill|stroke|display|visibility|(?:fill|clip)-rule|(?:fill-)?opacity)\s*:")
+_WORD = re.compile(rb"[\w-]+")
+_ROUNDED = 1e-12  # of coordinates: points so near are one
 _INSUNITS = {1: 25.4, 2: 304.8, 3: 1609344.0, 4: 1.0, 5: 10.0, 6: 1e3, 7: 1e6, 8: 25.4e-6, 9: 0.0254, 10: 914.4}  # mm
 _INSUNITS |= {11: 1e-7, 12: 1e-6, 13: 1e-3, 14: 100.0, 15: 1e4, 16: 1e5}
 _INSUNITS |= {21: 304.8006096, 22: 25.4000508, 23: 914.4018288, 24: 1609347.2187}  # US survey foot, inch, yard, mile
@@ -78,26 +87,59 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
     for what, names in _HIDDEN.items():
         if any(name.encode() in small for name in names):
             return NotRead(f"the drawing has {what}")
+    for sheet in _SHEETS.finditer(text):
+        named = _named(sheet[1])
+        if named is None:
+            return NotRead("its style sheet shows and hides by selectors that are not read")
+        if any(word[0] in named for word in _WORD.finditer(text, 0, sheet.start())):
+            return NotRead("its style sheet stands behind what it shows and hides")
     from svgelements import SVG, Shape
     from svgelements import Path as Outline
 
-    lines = []
-    for shape in SVG.parse(io.BytesIO(_as_parsed(text)), reify=True).elements():
-        if not isinstance(shape, Shape) or shape.values.get("visibility") in ("hidden", "collapse"):
-            continue
-        lines += [points for part in abs(Outline(shape)).as_subpaths() if len(points := _flat(part)) > 1]
+    shapes = [
+        shape
+        for shape in SVG.parse(io.BytesIO(_as_parsed(text)), reify=True).elements()
+        if isinstance(shape, Shape) and shape.values.get("visibility") not in ("hidden", "collapse")
+    ]
+    parts = [
+        (_painted(shape), points)
+        for shape in shapes
+        for part in abs(Outline(shape)).as_subpaths()
+        if _is_line(points := _flat(part))
+    ]
+    lines = [points for painted, points in parts if painted] or [points for _, points in parts]
     return _as_wide(lines, width, np.array([1.0, -1.0]))
 
 
+def _named(sheet: bytes) -> set[bytes] | None:
+    """The tags, ids and classes of which a style sheet says what is seen; None where a rule may be read wrong."""
+    rules = _RULE.findall(_BESIDE_RULES.sub(b"", sheet))
+    said = [each.strip() for selectors, body in rules if _OF_SIGHT.search(body) for each in selectors.split(b",")]
+    if not (all(_SELECTOR.fullmatch(each) for each in said) and all(body.strip() for _, body in rules)):
+        return None  # behind an empty rule svgelements loses one
+    return {each.removeprefix(b"#").rpartition(b".")[2] for each in said}
+
+
+def _painted(shape: Any) -> bool:
+    """Whether a shape is filled or stroked."""
+    paints = (str(shape.values.get(name, "")).strip().lower() for name in ("fill", "stroke"))
+    return any(paint not in _UNPAINTED for paint in paints)
+
+
+def _is_line(points: Array) -> bool:
+    """Whether points (n, 2) are more than a single one."""
+    return len(points) > 1 and float(np.ptp(points, axis=0).max()) > _ROUNDED * float(np.abs(points).max())
+
+
 def _as_parsed(text: bytes) -> bytes:
-    """A drawing in which svgelements reads paths right: it ends a path at a number like "1.", and has S go on from Q or T, and
-    T from C or S, unless a line is between them."""
+    """A drawing in which svgelements reads paths right: it ends a path at a number like "1.", fails at one without data, and
+    has S go on from Q or T, and T from C or S, unless a line is between them."""
 
     def mended(found: re.Match[bytes]) -> bytes:
         data = re.sub(rb"([0-9]\.)(?![0-9])", rb"\g<1>0", found[2])
         return found[1] + re.sub(rb"[QqTt][^A-DF-Za-df-z]*(?=[Ss])|[CcSs][^A-DF-Za-df-z]*(?=[Tt])", rb"\g<0>l0 0", data)
 
-    return _PATHS.sub(mended, text)
+    return _PATHS.sub(mended, _NO_DATA.sub(rb'\1 d=""', text))
 
 
 def _flat(part: Sequence[object]) -> Array:
