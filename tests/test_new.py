@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from planner.base.errors import InputError
 from planner.base.rapid_names import LONGEST_NAME
 from planner.base.shipped import PROBLEMS, ROBOTS
 from planner.cell.cell import build_cell
 from planner.cell.robot import read_robot, robot_names, shipped_robots
 from planner.new.command import main
 from planner.new.posture import reached
-from planner.new.questions import DOWN, WHAT
+from planner.new.questions import DOWN, WHAT, _read_drawing
 from planner.planning.check_command import examine
 from planner.planning.pipeline import solve
 from planner.problem import load_problem
@@ -120,6 +121,13 @@ def test_wrong_answers_of_a_pipe(
     assert run(monkeypatch, tmp_path / "mine.yaml", *answers) == 2
     assert said in " ".join(capsys.readouterr().err.split())
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_drawing_is_read_up_to_what_it_draws(tmp_path: Path) -> None:
+    file = tmp_path / "text.svg"
+    file.write_text(SQUARE.replace("<path", "<text>a</text><path"), encoding="utf-8")
+    with pytest.raises(InputError, match="turn text into paths"):
+        _read_drawing(file)
 
 
 def test_a_terminal_is_asked_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -406,6 +406,8 @@ def test_what_is_hidden_or_only_defined_is_not_drawn(read: Read) -> None:
         f'<g display="none">{line}</g><g style="display: none">{line}</g><g visibility="hidden">{line}</g>'
         f"<defs>{line}</defs><clipPath>{line}</clipPath><mask>{line}</mask><symbol>{line}</symbol><marker>{line}</marker>"
         f'<pattern>{line}</pattern><g class="off">{line}</g><g id="gone">{line}</g>'
+        '<g style="display:none"><image href="data:image/png;base64,AA"/><text x="3">a<tspan>b</tspan></text></g>'
+        '<switch display="none"><foreignObject/></switch>'
         '<g visibility="hidden"><path id="seen" visibility="visible" d="M1 1L2 2"/></g>'
         "<style><![CDATA[ .off, #gone { display:none } path{fill:red} g > path:hover{stroke:blue} ]]></style>"
         f'<defs><symbol id="unused">{line}</symbol><g id="inner"><symbol>{line}</symbol>{line}</g></defs>'
@@ -433,7 +435,7 @@ def test_names_are_ids_or_order_and_never_twice_the_same(read: Read) -> None:
 
 def test_foreign_elements_and_drawings_without_a_namespace(read: Read, tmp_path: Path) -> None:
     foreign = '<x:view xmlns:x="http://example.org"><path d="M0 0L99 0"/></x:view><metadata><r xmlns="urn:r" href="http://a"/></metadata>'
-    assert len(read(foreign + FRAME)) == 1
+    assert len(read(f'{foreign}<a xlink:href="https://example.org">{FRAME}</a>')) == 1
     file = tmp_path / "plain.svg"
     file.write_text(
         '<!DOCTYPE svg PUBLIC "-//W3C//DTD SVG 1.1//EN" "http://www.w3.org/svg11.dtd">\n<svg><path d="M0 0L1 1"/></svg>'
@@ -488,6 +490,8 @@ REFUSALS = [
     ("<text>hello</text>", "<text> cannot be printed"),
     ("<g><tspan>a</tspan></g>", "<tspan> cannot be printed"),
     ('<image href="#a"/>', "<image> cannot be printed"),
+    ('<defs><image href="data:image/png;base64,AA"/></defs>', "<image> cannot be printed"),
+    ("<flowRoot><flowPara>a</flowPara></flowRoot>", "<flowRoot> cannot be printed"),
     ("<foreignObject/>", "<foreignObject> cannot be printed"),
     ("<script>1</script>", "<script> cannot be printed"),
     ("<switch/>", "<switch> cannot be printed"),

@@ -32,6 +32,7 @@ from planner.problem.process import BeadSpec, ProcessSpec
 from planner.toolpath.dxf.reader import read_drawing
 from planner.toolpath.gcode.reader import text_of
 from planner.toolpath.svg.document import read_document
+from planner.toolpath.svg.drawing import Drawing
 
 # ----------------------------------------------------------------------------------------------------
 # Questions on the terminal, or to a pipe: each answer is checked when it is given.
@@ -218,7 +219,7 @@ def _pattern(value: Callable[..., Any], folder: Path) -> None:
 def _read_drawing(path: Path) -> object:
     if path.suffix.lower() == ".dxf":
         return read_drawing(path, _plainly)
-    return read_document(path, _plainly)
+    return Drawing(read_document(path, _plainly)).outlines()
 
 
 def _drawing(value: Callable[..., Any], folder: Path) -> None:

@@ -226,8 +226,9 @@ def _read(problem: Problem, field: str, path: Path) -> None:
         read_drawing(path, where)
     else:
         from planner.toolpath.svg.document import read_document
+        from planner.toolpath.svg.drawing import Drawing
 
-        read_document(path, where)
+        Drawing(read_document(path, where)).outlines()
 
 
 def check_command() -> Command:

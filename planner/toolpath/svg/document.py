@@ -28,12 +28,15 @@ SVG, XLINK_HREF = "http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink hr
 SHAPES = {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon"}
 GROUPS = {"svg", "g", "a", "use"}
 NOT_DRAWN = {"defs", "symbol", "clipPath", "mask", "marker", "pattern", "filter", "linearGradient", "radialGradient"}
-REFUSED = {
+TEXTS = ("text", "tspan", "textPath", "flowRoot", "flowRegion", "flowPara", "flowSpan", "flowDiv")
+REFUSED = {  # where they are drawn
     "image": "only outlines can be printed; trace the image",
     "foreignObject": "only outlines can be printed",
-    "script": "scripts are never run",
     "switch": "keep one of its alternatives",
-    **dict.fromkeys(("text", "tspan", "textPath"), "turn text into paths in the drawing program"),
+    **dict.fromkeys(TEXTS, "turn text into paths in the drawing program"),
+}
+NEVER = {  # not even where they are hidden
+    "script": "scripts are never run",
     **dict.fromkeys(("animate", "animateMotion", "animateTransform", "set"), "save the drawing without animation"),
 }
 # Possessive quantifiers: without them a long run of digits could be split in exponentially many ways.
@@ -158,7 +161,7 @@ def read_document(path: Path, complain: Complaint) -> Node:
             return
         numbers[tag] += 1
         node = Node(path, tag, attributes, parser.CurrentLineNumber, numbers[tag])
-        _check_element(node)
+        _check_element(node, any(each is not None and each.tag in NOT_DRAWN for each in open_nodes))
         if numbers.total() > MAX_ELEMENTS or len(open_nodes) >= MAX_DEPTH:
             raise refuse(f"more than {MAX_ELEMENTS} elements, or more than {MAX_DEPTH} inside each other")
         (roots if parent is None else parent.children).append(node)
@@ -191,19 +194,31 @@ def read_document(path: Path, complain: Complaint) -> Node:
     return roots[0]
 
 
-def _check_element(node: Node) -> None:
-    """Refuse an element that can never be printed, and a reference to anything outside of the file."""
+def _check_element(node: Node, defined: bool) -> None:
+    """Refuse an element that can never be printed, and a reference to anything outside of the file.
+
+    What can be hidden is refused once it is drawn; what is only `defined`, at once: a pattern may show it.
+    """
+    if node.tag in NEVER:
+        raise node.error(f"<{node.tag}> cannot be printed", NEVER[node.tag])
     if node.tag in REFUSED:
-        raise node.error(f"<{node.tag}> cannot be printed", REFUSED[node.tag])
+        if defined:
+            raise unprintable(node)
+        return
     known = SHAPES | GROUPS | NOT_DRAWN
     if node.tag not in known and not re.fullmatch(r"fe[A-Z]\w+", node.tag):
         near = nearest_name(node.tag, known)
         raise node.error(f"<{node.tag}> is not an element that can be printed", near and f"did you mean <{near}>?")
     for name, value in node.attributes.items():
-        if name in ("href", XLINK_HREF, "src"):
+        if name in ("href", XLINK_HREF, "src") and node.tag != "a":  # a link is not followed
             check_reference(node, value)
         for target in URL.findall(value):
             check_reference(node, target)
+
+
+def unprintable(node: Node) -> InputError:
+    """Return the error of an element of REFUSED."""
+    return node.error(f"<{node.tag}> cannot be printed", REFUSED[node.tag])
 
 
 def check_reference(node: Node, target: str) -> None:

@@ -22,6 +22,7 @@ from planner.toolpath.svg.document import (
     OPAQUE,
     PAINT,
     READ,
+    REFUSED,
     SHAPES,
     SHAPING,
     UNPAINTED,
@@ -33,6 +34,7 @@ from planner.toolpath.svg.document import (
     style_properties,
     style_rules,
     transform_matrix,
+    unprintable,
     viewport_matrix,
 )
 from planner.toolpath.svg.shapes import OutlinePiece, Subpath, subpaths_of
@@ -160,6 +162,8 @@ class Drawing:
         style = self._style(node)
         if style.get("display") == "none":
             return
+        if node.tag in REFUSED:
+            raise unprintable(node)
         for name in MOVING:
             if node.attributes.get(name, "none").strip() not in ("none", ""):
                 raise node.error(f"{name} is not supported", "apply or remove it in the drawing program")
