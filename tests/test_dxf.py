@@ -19,6 +19,7 @@ from planner.base.errors import InputError
 from planner.planning.solve_command import main
 from planner.problem import load_problem
 from planner.problem.drawings import DxfSpec
+from planner.toolpath import twins
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.dxf.chains import DrawnLine, joined
 from planner.toolpath.dxf.reader import INSUNITS, DxfRead, read_drawing, read_dxf
@@ -209,6 +210,27 @@ def test_loose_lines_become_chains(tmp_path: Path) -> None:
     assert len(read(path, join=1e-6).paths) == 2 and not read(path, join=1e-6).paths[0].closed
 
 
+@pytest.mark.parametrize("close", [True, False])
+def test_a_polyline_over_loose_lines_is_printed_once(tmp_path: Path, close: bool) -> None:
+    """A closed one with lines that begin at another corner, and an open one, whose ends are those of the lines."""
+    corners = [(0, 0), (20, 0), (20, 9), (0, 9)]
+    sides = list(zip(corners, corners[1:] + corners[:1], strict=True))[: 4 if close else 3]
+
+    def draw(m: Any) -> None:
+        m.add_lwpolyline(corners, close=close)
+        for start, end in sides[1:] + sides[:1]:
+            m.add_line(end, start)
+
+    found = read(saved(tmp_path, draw))
+    assert sizes(found) == pytest.approx([58.0 if close else 49.0]) and found.paths[0].closed == close
+    assert any("1 line drawn twice" in note for note in found.notes)
+
+
+def test_rows_side_by_side_are_joined_all_the_same() -> None:
+    rows = [DrawnLine(str(k), "0", np.array([[0.0, y], [9.0, y]]), False) for k, y in enumerate((0.0, 1.0))]
+    assert len(joined(rows, 1.5)) == 1
+
+
 @settings(max_examples=6, deadline=None)
 @given(st.data())
 def test_a_chain_in_any_order_and_sense_is_one(data: st.DataObject) -> None:
@@ -225,6 +247,24 @@ def test_a_chain_in_any_order_and_sense_is_one(data: st.DataObject) -> None:
     total = np.hypot(*np.diff(corners, axis=0).T).sum()
     assert np.hypot(*np.diff(chains[0].points, axis=0).T).sum() == pytest.approx(total)
     assert without_twins([*lines, lines[0]], 1e-6)[1] == 1
+
+
+def test_closed_twins_may_begin_anywhere() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 41)
+    ring = np.column_stack([np.cos(turn), np.sin(turn)])
+    begun = [np.roll(ring[:-1], k, axis=0)[::way] for k, way in ((0, 1), (7, 1), (20, -1))]
+    rings = [DrawnLine("ring", "0", each, True) for each in begun]
+    square = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    diamond = np.sqrt(2.0) * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    assert without_twins(rings, 1e-6)[1] == 2
+    assert without_twins([DrawnLine("", "0", each, True) for each in (square, diamond)], 1e-6)[1] == 0
+
+
+def test_only_lines_of_one_place_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a screen of equal dots each is compared with none."""
+    monkeypatch.setattr(twins, "_alike", lambda *_: pytest.fail("compared"))
+    dots = [DrawnLine("", "0", np.array([[x, 0.0], [x + 0.5, 0.0]]), False) for x in range(9)]
+    assert without_twins(dots, 1e-6) == (dots, 0)
 
 
 def test_twins_may_differ_in_length() -> None:

@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 from planner.base.arrays import Array, Ints
 
 End = tuple[int, int]  # a line, and its end: 0 or 1
+_ALONG = 1.0 - 1e-9  # cosine between the ways of lines that lie on each other
+_AT = 0.01  # of the distance at which ends are joined: so near, such lines begin at one place
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class DrawnLine:
 def joined(lines: Sequence[DrawnLine], join: float) -> list[DrawnLine]:
     """The lines, those of a group put together whose ends are at most `join` apart; in the order of their first parts.
 
-    Where more than two ends meet, those that go on straightest are joined.
+    Where more than two ends meet, those that go on straightest are joined; none whose lines lie on each other there.
     """
     partner: dict[End, End] = {}
     for group in dict.fromkeys(line.group for line in lines):
@@ -67,9 +69,11 @@ def _pairs(lines: Sequence[DrawnLine], loose: Sequence[int], join: float) -> dic
             for b in range(a)
         )
         free = set(range(len(members)))
-        for own, _, a, b in straight:
+        for own, cosine, a, b in straight:
             speck = own and np.ptp(lines[ends[members[a]][0]].points, axis=0).max() <= 2.0 * join
-            if a in free and b in free and not speck:
+            apart = np.hypot(*(places[members[a]] - places[members[b]]))
+            double = cosine > _ALONG and apart <= _AT * join
+            if a in free and b in free and not (speck or double):
                 free -= {a, b}
                 one, other = ends[members[a]], ends[members[b]]
                 out |= {one: other, other: one}

@@ -106,13 +106,15 @@ def read_dxf(spec: DxfSpec, flatness: float, where: Complaint) -> DxfRead:
     kept = [line for line in lines if np.ptp(line.points, axis=0).max() > same]
     if len(kept) < len(lines):
         notes.append(f"{_count(len(lines) - len(kept), 'line')} that are points, seen from above, left out")
-    kept, twins = without_twins(kept, max(same, min(spec.join, flatness) / scale), attrgetter("group"))
-    if twins:
-        notes.append(f"{_count(twins, 'line')} drawn twice left out")
+    near = max(same, min(spec.join, flatness) / scale)
+    kept, twins = without_twins(kept, near, attrgetter("group"))
     chains = joined(kept, spec.join / scale)
+    once, again = without_twins(chains, near, attrgetter("group"))  # as a polyline over loose lines
+    if twins + again:
+        notes.append(f"{_count(twins + again, 'line')} drawn twice left out")
     if len(chains) < len(kept):
         notes.append(f"{len(kept)} lines joined to {len(chains)} where ends are within {spec.join * 1e3:g} mm")
-    paths = _placed(chains, 0.5 * (low + high), scale, SAME_POINT * flatness)
+    paths = _placed(once, 0.5 * (low + high), scale, SAME_POINT * flatness)
     if not paths:
         raise where(f"{name} draws nothing but points", hint="draw it larger: layers.source.unit or width_mm")
     return DxfRead(paths, tuple(f"layers.source.dxf: {note}" for note in notes))
