@@ -368,7 +368,7 @@ BAD: dict[str, tuple[Array, str, str, str]] = {
     "open": (block(flat(3.0))[200:], "", "layers.source.mesh", "is not closed"),
     "inside out": (block(flat(3.0))[:, ::-1], "", "layers.source.mesh", "inside out"),
     "below the bed": (block(flat(3.0), foot=-1.0), "", "layers.source.mesh", "1.000 mm below the bed"),
-    "edge on top": (block(roofs, cells=60), "", "layers.source.mesh", "smooth surface through the facets on top"),
+    "edge on top": (block(roofs, cells=60), "", "layers.source.mesh", "z_mm: 3.5} for layers that end level"),
     "too steep": (block(lambda x, y: 4.0 + 0.5 * x), "  tilt_deg: 20", "layers.tilt_deg", "tilts by"),
     "upper below": (block(flat(3.0)), "  upper: {z_mm: -1}", "layers.upper", "nowhere above"),
     "lower above": (block(flat(3.0)), "  lower: {z_mm: 4}", "layers.lower", "nowhere above"),
@@ -577,6 +577,16 @@ def one_sided() -> Array:
     one, other = np.round(rims, 9)
     a, b, c, d = one[:-1], one[1:], other[1:], other[:-1]
     return np.concatenate([np.stack(each, axis=1) for each in ((a, b, c), (a, c, d))])
+
+
+def test_a_body_that_begins_above_the_bed_is_told_of(tmp_path: Path) -> None:
+    toolpath = built(tmp_path, block(flat(7.0), foot=4.0))
+    assert toolpath.notes[-1] == (
+        "block.stl: begins 4.000 mm above the bed (z = 0), on nothing that layers.lower names; "
+        "layers.source.origin_mm: [0, 0, -4] stands it on the bed"
+    )
+    lower = built(tmp_path, block(flat(7.0), foot=4.0), "  lower: {z_mm: 4}")
+    assert lower.notes == toolpath.notes[:-1]
 
 
 def test_a_top_that_is_steep_everywhere_is_refused(tmp_path: Path) -> None:

@@ -79,9 +79,13 @@ def stack_of(
     lower, base = _heights(problem, spec.lower or lowest, "layers.lower", plane, reach)
     guides: list[tuple[str, MeshTop | None]] = [("layers.lower.mesh", base)]
     if spec.upper is None:
-        top = _smooth(
-            tree, plane, reach, spec.source.smooth, spec.source.mesh.name, partial(problem.error, "layers.source.mesh")
+        complain, highest = partial(problem.error, "layers.source.mesh"), float(solid.vertices[:, 2].max())
+        level = np.ceil(highest * 1e5 - 1e-3) * 1e-2  # mm, rounded up to hundredths
+        instead = (
+            f"layers.upper: {{z_mm: {level:g}}} for layers that end level, or the mesh of a smooth surface "
+            "above the body's top"
         )
+        top = _smooth(tree, plane, reach, spec.source.smooth, spec.source.mesh.name, complain, instead)
         upper = _over(top)
         guides.append(("layers.source.mesh", top))
     else:
@@ -140,7 +144,7 @@ def _heights(
             f"{guide.mesh.file.name} does not reach over the whole body: nothing at x {x:.1f}, y {y:.1f} mm",
             f"a larger surface, or move it by {field}.mesh.origin_mm",
         )
-    top = _smooth(facets, plane, reach, guide.mesh.smooth, guide.mesh.file.name, complain)
+    top = _smooth(facets, plane, reach, guide.mesh.smooth, guide.mesh.file.name, complain, "a surface without them")
     return _over(top), top
 
 
@@ -149,15 +153,14 @@ def _over(top: MeshTop) -> Heights:
 
 
 def _smooth(
-    facets: FacetTree, plane: Array, reach: float, bound: float | None, name: str, complain: Complaint
+    facets: FacetTree, plane: Array, reach: float, bound: float | None, name: str, complain: Complaint, instead: str
 ) -> MeshTop:
     try:
         return MeshTop.near(facets, plane, reach_beside(facets, plane, reach), bound=bound)
     except TooRoughMesh as error:
         raise complain(
             error.said(f"the facets on top of {name}"),
-            "there is an edge or a wall, or facets are too large: give layers.upper a smooth surface above the body's top"
-            f"{error.words}",
+            f"there is an edge or a wall, or facets are too large: {instead}{error.words}",
         ) from None
 
 
@@ -272,7 +275,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     name = spec.source.mesh.name
     corners = read_facets(spec.source.file, complain, lines=True)
     mended = _mended(corners, name, spec.source.holes, problem.process.bead.width, complain)
-    solid = _solid(mended.corners, name, complain)
+    solid = _solid(spec, mended.corners, name, complain)
     morph, base, told, off = stack_of(problem, spec, solid, FacetTree.of(with_area(mended.corners)))
     longest = max(_CUT, float(np.ptp(solid.vertices[:, :2], axis=0).max()) / 400.0)
     try:
@@ -293,6 +296,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     surface = MorphedLayers(morph, base, tuple(regions), tuple(bead.layer for bead in beads))
     shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
     notes = ((f"{name}: {mended.words}",) if mended.words else ()) + _notes(name, morph, rows, beads, lost) + told
+    notes += _in_the_air(spec, name, float(solid.vertices[:, 2].min()))
     figures = Told(lost.share, lost.open, lost.held, off)
     return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph), told=figures)
 
@@ -345,7 +349,7 @@ def _closing(corners: Array, width: float) -> str:
     return by_hand
 
 
-def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
+def _solid(spec: VolumeLayersSpec, corners: Array, name: str, complain: Complaint) -> Solid:
     solid = Solid.of(corners)
     if solid.volume <= 0.0:
         raise complain(f"{name} is inside out: its facets face inwards", "flip its normals in a CAD program")
@@ -353,9 +357,25 @@ def _solid(corners: Array, name: str, complain: Complaint) -> Solid:
     if lowest < -_BELOW:
         raise complain(
             f"{name} reaches {-lowest * 1e3:.3f} mm below the bed",
-            "raise it by layers.source.origin_mm: z = 0 is the bed",
+            f"z = 0 is the bed, on which {_on_bed(spec, lowest)} stands it",
         )
     return solid
+
+
+def _on_bed(spec: VolumeLayersSpec, lowest: float) -> str:
+    """Where the file of a body whose lowest place is so high [m] has its origin, if that stands on the bed."""
+    x, y, z = spec.source.origin
+    return f"layers.source.origin_mm: [{x * 1e3:g}, {y * 1e3:g}, {round((z - lowest) * 1e3, 4):g}]"
+
+
+def _in_the_air(spec: VolumeLayersSpec, name: str, lowest: float) -> tuple[str, ...]:
+    """What is told of a body that begins above the bed, where nobody says what it stands on."""
+    if spec.lower is not None or lowest <= _BELOW:
+        return ()
+    return (
+        f"{name}: begins {lowest * 1e3:.3f} mm above the bed (z = 0), on nothing that layers.lower names; "
+        f"{_on_bed(spec, lowest)} stands it on the bed",
+    )
 
 
 def _regions(problem: Problem, spec: VolumeLayersSpec, morph: Morph, fine: Solid) -> list[shapely.MultiPolygon]:
