@@ -26,7 +26,7 @@ from planner.toolpath.substrate.bodies import Ball
 from planner.toolpath.substrate.mesh_surface import FacetTree, fit
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
-from planner.toolpath.substrate.projection import Substrate
+from planner.toolpath.substrate.projection import Substrate, nothing_falls
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "printbed_hemisphere.stl"
 COARSE = ("layers.count=1", "resolve.rung_mm=10", "resolve.roll_step_deg=30")
@@ -432,6 +432,14 @@ def test_mistakes_are_told(change: str, field: str, said: str) -> None:
 def test_a_drawing_is_not_wrapped_around_a_ball() -> None:
     with pytest.raises(InputError, match=r"layers\.wrap and a sphere do not go together"):
         load_problem("cylinder_logo", ("part={sphere: {radius_mm: 30}}",))
+
+
+def test_curves_beside_the_part_are_told_where_both_are() -> None:
+    problem = load_problem("hemisphere_honeycomb", ["layers.centre_mm=[5, 0]"])
+    curves, body = np.array([[0.0, 0.0], [0.01, 0.02]]), np.array([[0.9, 1.0], [1.1, 1.2]])
+    said = str(nothing_falls(problem, "part", curves, body))
+    assert "they lie at x 0.0 to 10.0, y 0.0 to 20.0 mm, the part at x 900.0 to 1100.0, y 1000.0 to 1200.0 mm" in said
+    assert "layers.centre_mm: [1000.0, 1090.0] brings their middle" in said
 
 
 def test_the_command_ends_with_two(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

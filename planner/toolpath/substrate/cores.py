@@ -23,8 +23,10 @@ from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, r
 from planner.toolpath.substrate.projection import (
     REACH,
     RESERVE,
+    nothing_falls,
     paths_of,
     placed,
+    seen_from_above,
     size_key,
     smooth_top,
     top_facets,
@@ -292,8 +294,7 @@ def _check_there(
     """Raise InputError where a path does not lie above (or below) facets."""
     below = [facets.top(points)[1] >= 0 for points in dense]
     if not any(found.any() for found in below):
-        hint = "the middle of the curves, x and y of the part frame"
-        raise problem.error("layers.centre_mm", f"no curve falls onto the {what}", hint)
+        raise nothing_falls(problem, what, np.vstack(dense), seen_from_above(facets))
     for path, points, found in zip(paths, dense, below, strict=True):
         if not found.all():
             x, y = points[int(np.argmin(found))] * 1e3

@@ -357,12 +357,32 @@ def _file_of(part: PartSpec | None) -> str:
     return "part" if part is None else f"part.{part.body}.file"
 
 
+def seen_from_above(facets: FacetTree) -> Array:
+    """Corners (n, 2) of the facets that face upwards."""
+    return np.asarray(facets.corners[facets.normals[:, 2] > 0.0][:, :, :2].reshape(-1, 2))
+
+
+def nothing_falls(problem: Problem, what: str, curves: Array, body: Array | None) -> InputError:
+    """The InputError of curves (n, 2), all beside the body that they are to fall onto, of which places (m, 2) may be known."""
+    field, reason, spec = "layers.centre_mm", f"no curve falls onto the {what}", problem.layers
+    if body is None or not isinstance(spec, OnPartSpec):
+        return problem.error(field, reason, "the middle of the curves, x and y of the part frame")
+    spans = [np.array([points.min(axis=0), points.max(axis=0)]) * 1e3 for points in (curves, body)]
+    here, there = ("x {:.1f} to {:.1f}, y {:.1f} to {:.1f} mm".format(*span.T.ravel()) for span in spans)
+    x, y = np.asarray(spec.centre) * 1e3 + spans[1].mean(axis=0) - spans[0].mean(axis=0)
+    hint = f"{field}: [{x:.1f}, {y:.1f}] brings their middle to that of the {what}"
+    return problem.error(field, f"{reason}: they lie at {here}, the {what} at {there}", hint)
+
+
 def _fitting(problem: Problem, body: SubstrateBody | FacetTree | UpperFaces, clipped: Clipped, most: float) -> Clipped:
     """What of the paths falls onto a body where it is not too steep."""
     if not any(np.isfinite(body.upward(densify(path.points))).any() for path in clipped.paths):
-        raise problem.error(
-            "layers.centre_mm", "no curve falls onto the part", "the middle of the curves, x and y of the part frame"
-        )
+        seen = None
+        if isinstance(body, FacetTree):
+            seen = seen_from_above(body)
+        elif isinstance(body, UpperFaces):
+            seen = body.samples.points[:, :2]
+        raise nothing_falls(problem, "part", np.vstack([path.points for path in clipped.paths]), seen)
     there = clipped.without(off_or_steep(body.upward), problem.process.bead.width)
     there.check(most)
     return there
