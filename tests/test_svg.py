@@ -353,6 +353,25 @@ def test_what_no_one_sees_is_left_out_and_told(tmp_path: Path) -> None:
     assert read('<path id="x" stroke="red" d="M5 5M0 0L1 1"/>') == (["x"], ("1 single point left out",))
 
 
+@pytest.mark.parametrize(
+    ("root", "off"),
+    [
+        ('viewBox="0 0 20 20"', 1),
+        ('viewBox="-50 0 70 20" width="7mm" height="9mm"', 1),
+        ('width="20" height="20"', 1),
+        ('viewBox="0 0 20 60"', 0),
+        ("", 0),
+    ],
+)
+def test_what_lies_outside_of_the_page_is_told(tmp_path: Path, root: str, off: int) -> None:
+    """Not what only reaches beyond its edge."""
+    file = tmp_path / "page.svg"
+    drawn = '<path d="M1 1L30 9"/><circle cx="15" cy="15" r="9"/><path d="M0 40L9 50 9 40z"/>'
+    file.write_text(f'<svg xmlns="{SVG}" {root}>{drawn}</svg>')
+    told = read_svg_once(file, 0.1, 1e-5)[1]
+    assert len(told) == off and all("1 shape outside of the page" in each for each in told)
+
+
 def test_symbols_are_fitted_into_their_use(read: Read) -> None:
     content = (
         '<symbol id="s" viewBox="0 0 10 20"><path d="M0 0L10 20"/></symbol>'

@@ -383,6 +383,16 @@ def viewport_matrix(node: Node, outer: Size, user: Node | None, is_root: bool) -
     return np.array([[scale_x, 0, shift_x], [0, scale_y, shift_y], [0, 0, 1]]), (box[2], box[3])
 
 
+def page_of(root: Node, matrix: Array, size: Size) -> Array | None:
+    """Return least and greatest x and y (2, 2) of the page, `matrix` (3, 3) leading out of it; None if it has no size."""
+    match = VIEW_BOX.fullmatch(root.attributes.get("viewBox", ""))
+    x, y = (float(match[1]), float(match[2])) if match else (0.0, 0.0)
+    if size[0] is None or size[1] is None:
+        return None
+    corners = np.array([[x, y], [x + size[0], y + size[1]]]) @ matrix[:2, :2].T + matrix[:2, 2]
+    return np.sort(corners, axis=0)
+
+
 def mask_box(node: Node) -> Array | None:
     """Return the corners (4, 2) of the box of a <mask> in user units; None if it leaves all of the element."""
     given = [name for name in ("x", "y", "width", "height") if name in node.attributes]

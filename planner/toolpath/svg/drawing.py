@@ -31,6 +31,7 @@ from planner.toolpath.svg.document import (
     Rule,
     Size,
     mask_box,
+    page_of,
     style_properties,
     style_rules,
     transform_matrix,
@@ -101,12 +102,17 @@ class ElementContext:
 
 
 class Drawing:
-    """Walks the tree of elements and collects what is visible; `dots` counts the subpaths that are single points."""
+    """Walks the tree of elements and collects what is visible.
+
+    dots   number of subpaths that are single points
+    page   least and greatest x and y (2, 2) of the page, if it has a size
+    """
 
     def __init__(self, root: Node) -> None:
         self._root = root
         self._drawn: list[Outline] = []
         self.dots = 0
+        self.page: Array | None = None
         self._elements = self._points = self._shapes = self._segments = 0
         self._subpaths: dict[int, list[Subpath]] = {}
         self._counts: dict[int, int] = {}
@@ -175,6 +181,8 @@ class Drawing:
         if node.tag in ("svg", "symbol"):
             inner, viewport = viewport_matrix(node, viewport, user, node is self._root)
             matrix = matrix @ inner
+            if node is self._root:
+                self.page = page_of(node, matrix, viewport)
         if not np.abs(matrix).max() <= 1e15:
             raise node.error("its transforms together are too large")
         inside = ElementContext(matrix, visible, viewport, place.uses, place.depth + 1, paint, cuts)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.problem.mesh_repair import count_of
 from planner.toolpath.svg.cuts import cut_outlines, extremes
 from planner.toolpath.svg.document import MAX_POINTS, read_document
-from planner.toolpath.svg.drawing import Drawing
+from planner.toolpath.svg.drawing import Drawing, Outline
 from planner.toolpath.twins import without_twins
 
 SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
@@ -100,9 +100,22 @@ def _read(
     if len(seen) < len(drawn):
         unseen = len({outline.shape for outline in drawn}) - len({outline.shape for outline in seen})
         told.append(f"{count_of(unseen, 'shape')} with neither fill nor stroke, which no one sees, left out")
+    if off := _off_page(drawing.page, outlines):
+        told.append(f"{count_of(off, 'shape')} outside of the page, printed and counted in the width as all others")
     if dots:
         told.append(f"{count_of(dots, 'single point')} left out")
     return tuple(paths), told
+
+
+def _off_page(page: Array | None, outlines: Sequence[Outline]) -> int:
+    """How many shapes lie outside of the page."""
+    if page is None:
+        return 0
+    spans: dict[int, list[Array]] = defaultdict(list)
+    for outline in outlines:
+        spans[outline.shape] += [each.extremes() if each.kind == "arc" else each.points for each in outline.pieces]
+    whole = [np.vstack(points) for points in spans.values()]
+    return sum(bool((each.max(axis=0) < page[0]).any() or (each.min(axis=0) > page[1]).any()) for each in whole)
 
 
 def read_svg_once(
