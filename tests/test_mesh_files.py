@@ -121,6 +121,8 @@ def test_a_size_that_is_no_parts_names_the_unit_that_would_do(tmp_path: Path, fa
     with pytest.raises(InputError, match="mm across, with lengths in mm") as caught:
         sizes(path)
     assert said in str(caught.value)
+    assert "unit: mm takes it as it is" in str(caught.value)
+    np.testing.assert_allclose(sizes(path, unit="mm"), factor * np.array(SIDES), rtol=1e-4)
     with pytest.raises(InputError, match=r"is 4e\+04 mm across at scale 1000"):
         sizes(save(tmp_path, "stl", box()), scale=1000.0)
 

@@ -54,12 +54,12 @@ _UNREADABLE = (
 def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
     """Facets (n, 3, 3) of a body [m] in the part frame; otherwise as `read_corners`.
 
-    Raises the InputError of `where` also for a body that is too small or too large to be one.
+    Raises the InputError of `where` also for a body that is too small or too large to be one, where no unit is given.
     """
     corners = read_corners(spec.file, where, spec.unit, spec.scale, lines)
     across = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) * 1e3
-    if not SMALLEST <= across <= GREATEST:
-        unit = spec.unit or unit_of(spec.file, where)
+    if spec.unit is None and not SMALLEST <= across <= GREATEST:
+        unit = unit_of(spec.file, where)
         sizes = {name: across * mm / UNITS[unit] for name, mm in UNITS.items() if name != unit}
         likely = [
             f"unit: {name} makes it {size:.4g} mm" for name, size in sizes.items() if _LIKELY[0] <= size <= _LIKELY[1]
@@ -67,7 +67,7 @@ def read_facets(spec: MeshSpec, where: Complaint, lines: bool = False) -> Array:
         what = f"{spec.file.name} is {across:.4g} mm across" + (
             "" if spec.scale == 1.0 else f" at scale {spec.scale:g}"
         )
-        hint = "; ".join([*likely, "or give scale"]) if likely else "give unit and scale, by which it is enlarged"
+        hint = "; ".join([*likely, f"unit: {unit} takes it as it is", "or give scale"])
         raise where(f"{what}, with lengths in {unit}", hint=hint)
     turn = Rotation.from_euler("xyz", spec.rpy).as_matrix()
     return np.asarray(corners @ turn.T + np.asarray(spec.origin))
