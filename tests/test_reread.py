@@ -27,7 +27,7 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.collision.print_body import PrintBody, print_body
 from planner.problem import Problem, load_problem
-from planner.problem.drawings import CurveSpec, PatternSpec, SvgSpec
+from planner.problem.drawings import CurveSpec, DxfSpec, PatternSpec, SvgSpec
 from planner.toolpath.bead import Bead, Told, Toolpath
 from planner.toolpath.build import build_toolpath
 from planner.toolpath.nurbs import NurbsCurve
@@ -452,6 +452,19 @@ def test_paths_that_svgelements_would_read_otherwise(tmp_path: Path, drawn: str)
     assert isinstance(again, tuple)
     ours = [each.points for each in read_svg(path, 0.05, 1e-6)]
     assert max(far_from(list(again), ours), far_from(ours, list(again))) < 2e-5
+
+
+def test_what_is_drawn_twice_is_read_once(tmp_path: Path) -> None:
+    """Either way round, but not on another layer, where it is printed again."""
+    svg, dxf = tmp_path / "a.svg", tmp_path / "a.dxf"
+    drawn = "".join(f'<path d="{data}"/>' for data in ("M0 0L9 9", "M9 9L0 0", "M0 0L9 9", "M0 0L9 8"))
+    svg.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{drawn}</svg>')
+    assert len(read_again(SvgSpec.model_construct(svg=svg, width=0.05))) == 2
+    document = ezdxf.new(units=4)
+    for start, end, layer in (((0, 0), (9, 9), "0"), ((9, 9), (0, 0), "0"), ((0, 0), (9, 9), "ribs")):
+        document.modelspace().add_line(start, end, {"layer": layer})
+    document.saveas(dxf)
+    assert len(read_again(DxfSpec.model_construct(dxf=dxf, unit=None, width=None, layers=None))) == 2
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
         if _is_line(points := _flat(part))
     ]
     lines = [points for painted, points in parts if painted] or [points for _, points in parts]
-    return _as_wide(lines, width, np.array([1.0, -1.0]))
+    return _as_wide(_once(("", line) for line in lines), width, np.array([1.0, -1.0]))
 
 
 def _named(sheet: bytes) -> set[bytes] | None:
@@ -172,11 +172,11 @@ def _dxf(
         off = {name for name, layer in layers.items() if layer.is_off() or layer.is_frozen()}
         wanted = None if names is None else {name.lower() for name in names}
         frozen = {name for name in off if wanted is None and layers[name].is_frozen()}
-        lines = [
-            _along(entity)
+        lines = _once(
+            (layer, _along(entity))
             for entity, layer in _entities(document.modelspace(), frozen)
             if (layer not in off if wanted is None else layer in wanted)
-        ]
+        )
     except (DXFError, ArithmeticError, TypeError, ValueError) as error:
         return NotRead(f"ezdxf makes no paths of the drawing: {error}")
     if width is not None:
@@ -218,6 +218,11 @@ def _entities(
                 yield from _entities(one.virtual_entities(), frozen, layer)
         elif entity.dxftype() in _LINES:
             yield entity, layer
+
+
+def _once(lines: Iterable[tuple[str, Array]]) -> list[Array]:
+    """Lines (n, 2), each with its layer, without exact copies of others of that layer, either way round."""
+    return list({(layer, min(line.tobytes(), line[::-1].tobytes())): line for layer, line in lines}.values())
 
 
 def _as_wide(lines: Sequence[Array], width: float, sense: Array) -> Curves | NotRead:
