@@ -26,7 +26,7 @@ from planner.toolpath.substrate.bodies import Ball
 from planner.toolpath.substrate.mesh_surface import FacetTree, fit
 from planner.toolpath.substrate.mesh_top import FARTHEST_FROM_FACETS, MeshTop, TooRoughMesh, reach_beside
 from planner.toolpath.substrate.patterns import NoPattern, pattern
-from planner.toolpath.substrate.projection import Substrate, nothing_falls
+from planner.toolpath.substrate.projection import Substrate, beneath_turned, nothing_falls
 
 PUBLISHED = Path(__file__).resolve().parents[2] / "shared" / "data" / "bristol" / "printbed_hemisphere.stl"
 COARSE = ("layers.count=1", "resolve.rung_mm=10", "resolve.roll_step_deg=30")
@@ -432,6 +432,20 @@ def test_mistakes_are_told(change: str, field: str, said: str) -> None:
 def test_a_drawing_is_not_wrapped_around_a_ball() -> None:
     with pytest.raises(InputError, match=r"layers\.wrap and a sphere do not go together"):
         load_problem("cylinder_logo", ("part={sphere: {radius_mm: 30}}",))
+
+
+def test_a_body_that_is_inside_out_on_another_is_refused(tmp_path: Path) -> None:
+    """As one that was mirrored: its underside, which faces upwards, would be printed on."""
+    slab, lump = trimesh.creation.box((90.0, 90.0, 5.0)), trimesh.creation.box((70.0, 70.0, 6.0))
+    lump.apply_translation([0.0, 0.0, 5.5])
+    right = FacetTree.of(np.concatenate([slab.triangles, lump.triangles]) * 1e-3)
+    lump.invert()
+    wrong = FacetTree.of(np.concatenate([slab.triangles, lump.triangles]) * 1e-3)
+    plane = np.array([[0.001, 0.002], [0.04, 0.001]])
+    assert beneath_turned(wrong, plane).tolist() == [True, False] and not beneath_turned(right, plane).any()
+    trimesh.util.concatenate([slab, lump]).export(tmp_path / "two.stl")
+    with pytest.raises(InputError, match=r"a body in two\.stl is inside out"):
+        build_toolpath(load_problem("hemisphere_honeycomb", on_mesh(tmp_path / "two.stl", "scale: 1")))
 
 
 def test_curves_beside_the_part_are_told_where_both_are() -> None:

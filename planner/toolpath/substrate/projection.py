@@ -88,6 +88,7 @@ _EDGE_ROUNDS = 5  # of cutting paths where edges keep surfaces from being smooth
 _FROM_EDGES, _LEAST_FROM_EDGES = 2.0, 1e-3  # bead widths and m from an edge at which paths are cut
 _BEFORE_EDGES = 0.8  # of that: so far beside paths the surface is known
 _FOLDED = 0.2  # of the way from the body to a layer that folds: nearer to folding it is no layer
+_TURNED, _ABOVE = 0.1, 1e-6  # of the curves, and m: noise turns single facets over, by little
 
 
 ProjectedSpec = (
@@ -349,6 +350,12 @@ def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tu
     if part.mesh is None:
         raise problem.error("part", f"a {part.body} is nothing to project onto")
     facets = top_facets(part.mesh, complain)
+    below = beneath_turned(facets, np.vstack([densify(path.points) for path in clipped.paths]))
+    if below.mean() > _TURNED:
+        raise complain(
+            f"a body in {part.mesh.file.name} is inside out: under the curves the uppermost facets face downwards",
+            "flip its normals in a mesh program: mirroring a body may turn them inwards",
+        )
     return _mesh_body(problem, part.mesh.smooth, facets, _fitting(problem, facets, clipped, most), most)
 
 
@@ -360,6 +367,17 @@ def _file_of(part: PartSpec | None) -> str:
 def seen_from_above(facets: FacetTree) -> Array:
     """Corners (n, 2) of the facets that face upwards."""
     return np.asarray(facets.corners[facets.normals[:, 2] > 0.0][:, :, :2].reshape(-1, 2))
+
+
+def beneath_turned(facets: FacetTree, plane: Array) -> Flags:
+    """Whether the highest facet that faces upwards at x, y (n, 2) lies beneath one that faces downwards."""
+    low, high = plane.min(axis=0), plane.max(axis=0)
+    down = facets.corners[facets.normals[:, 2] < 0.0]
+    over = (down[:, :, :2].max(axis=1) >= low).all(axis=1) & (down[:, :, :2].min(axis=1) <= high).all(axis=1)
+    if not over.any():
+        return np.zeros(len(plane), dtype=bool)
+    turned = FacetTree.of(np.ascontiguousarray(down[over][:, ::-1]))
+    return np.asarray(turned.top(plane)[0] > facets.top(plane)[0] + _ABOVE)
 
 
 def nothing_falls(problem: Problem, what: str, curves: Array, body: Array | None) -> InputError:
