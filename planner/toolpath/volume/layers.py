@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -297,6 +298,7 @@ def fill_mesh(problem: Problem, spec: VolumeLayersSpec) -> Toolpath:
     shape, beneath = (None, None) if base is None else (base.shape(), base.facets.corners)
     notes = ((f"{name}: {mended.words}",) if mended.words else ()) + _notes(name, morph, rows, beads, lost) + told
     notes += _in_the_air(spec, name, float(solid.vertices[:, 2].min()))
+    notes += _begun_anew(name, regions, problem.process.bead.width)
     figures = Told(lost.share, lost.open, lost.held, off)
     return Toolpath(tuple(beads), surface, shape, notes, beneath, left_out=lost.drawn_in(morph), told=figures)
 
@@ -399,6 +401,24 @@ def _regions(problem: Problem, spec: VolumeLayersSpec, morph: Morph, fine: Solid
         reason = "no layer lies within the body" if not regions else "the lowest layers lie below the body"
         raise problem.error(field, reason, "the lower surface where the body begins, or less high layers")
     return regions
+
+
+def _begun_anew(name: str, regions: Sequence[shapely.MultiPolygon], width: float) -> tuple[str, ...]:
+    """What is told of places of layers, wide enough for a bead [m], that lie beside all of the layer beneath."""
+    found: list[tuple[int, shapely.Geometry]] = []
+    for layer, (below, region) in enumerate(pairwise(regions), 1):
+        parts = shapely.get_parts(region)
+        alone = parts[~shapely.intersects(below, parts)]
+        found += [(layer, part) for part in alone if not _inset(shapely.MultiPolygon([part]), 0.5 * width).is_empty]
+    if not found:
+        return ()
+    layer, first = found[0]
+    x, y = shapely.get_coordinates(shapely.point_on_surface(first))[0] * 1e3
+    what = "1 place" if len(found) == 1 else f"{len(found)} places, the first"
+    return (
+        f"{name}: nothing is beneath {what} in layer {layer + 1} at x {x:.1f}, y {y:.1f} mm, where the body begins anew: what "
+        "carries it has to be part of the mesh",
+    )
 
 
 def _check_tilt(
