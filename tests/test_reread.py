@@ -487,6 +487,15 @@ def test_rules_that_svgelements_passes_over(tmp_path: Path, rule: str, known: bo
     assert isinstance(read_again(SvgSpec.model_construct(svg=path, width=0.05)), NotRead) == ("color" not in rule)
 
 
+def test_rules_behind_a_font_are_read_again(tmp_path: Path) -> None:
+    path = tmp_path / "a.svg"
+    sheet = "<style>@font-face{src:url(https://example.org/a.woff)} .a{fill:none}</style>"
+    drawn = '<path class="a" d="M-9 0H99"/><path d="M0 0L9 9"/>'
+    path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{sheet}{drawn}</svg>')
+    (again,) = read_again(SvgSpec.model_construct(svg=path, width=0.05))
+    assert again == pytest.approx(np.array([[-0.025, 0.025], [0.025, -0.025]]))
+
+
 def test_ends_that_are_joined_are_printed_between(tmp_path: Path) -> None:
     document = ezdxf.new(units=4)
     for start, end in (((0, 0), (9, 0)), ((10, 0), (20, 0)), ((20, 0), (20, 5))):

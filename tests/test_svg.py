@@ -444,6 +444,8 @@ def test_style_sheets_follow_the_cascade(read: Read) -> None:
     assert [path.name for path in read(style + paths)] == ["two"]
     inline = '<path id="four" style="display:inline" d="M0 0L9 9"/>'
     assert [path.name for path in read(style + paths + inline)] == ["two", "four"]
+    font = "@charset 'utf-8'; @font-face{font-family:a;src:url(https://example.org/a.woff)} #two{display:none}"
+    assert [path.name for path in read(f"<style>{font}</style>{style}{paths}{inline}")] == ["four"]
 
 
 def test_names_are_ids_or_order_and_never_twice_the_same(read: Read) -> None:

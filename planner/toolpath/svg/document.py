@@ -60,6 +60,7 @@ BLACK = {"black", "#000", "#000000", "rgb(0,0,0)"}
 OPAQUE = re.compile(r"#[0-9a-f]{3}(?:[0-9a-f]{3})?|[a-z]+|rgb\([^,/)]+,[^,/)]+,[^,/)]+\)")
 READ = (*CUTS, *SHOWN, *PAINT, *OPACITY, "mask-type")
 SELECTOR = re.compile(r"(\*|[\w-]+)?((?:[.#][\w-]+)*)")
+FONTS = re.compile(r"@font-face\s*\{[^{}]*\}|@charset[^;{}]*;", re.IGNORECASE)  # which draw nothing
 
 TRANSFORM = re.compile(rf"([a-zA-Z]+){SPACE}\({SPACE}({NUMBER}(?:{COMMA}{NUMBER})*+){SPACE}\){COMMA}")
 TRANSFORMS = {"matrix": (6,), "translate": (1, 2), "scale": (1, 2), "rotate": (1, 3), "skewX": (1,), "skewY": (1,)}
@@ -265,9 +266,11 @@ def style_properties(node: Node, text: str) -> dict[str, str]:
 
 def style_rules(node: Node, order: int) -> list[Rule]:
     """Return the rules of a <style> element that matter for an outline; `order` counts those before."""
-    text = _without_comments("".join(node.text))
+    text = FONTS.sub("", _without_comments("".join(node.text)))
     if "@" in text:
-        raise node.error("@-rules (@import, @media, …) are neither supported nor followed")
+        raise node.error(
+            "@-rules (@import, @media, …) are neither supported nor followed", "write styles as attributes"
+        )
     for target in URL.findall(text):
         check_reference(node, target)
     *blocks, rest = text.split("}")

@@ -30,6 +30,7 @@ _SPANS = 200  # chords between the knots of a NURBS curve
 _HIDDEN = {"clip paths or masks": ("<clippath", "<mask", ":clippath", ":mask"), "symbols": ("<symbol", ":symbol")}
 _PATHS = re.compile(rb"""(\s(?:d|points)\s*=\s*)("[^"]*"|'[^']*')""")
 _NO_DATA = re.compile(rb"""(<(?:\w+:)?path)(?=[\s/>])(?!(?:[^<>"']|"[^"]*"|'[^']*')*?\sd\s*=)""")
+_FONTS = re.compile(rb"@font-face\s*\{[^{}]*\}", re.IGNORECASE)
 _UNPAINTED = ("none", "transparent")
 _SHEETS = re.compile(rb"<(?:\w+:)?style\b[^>]*>(.*?)</(?:\w+:)?style>", re.DOTALL)
 _BESIDE_RULES = re.compile(rb"/\*.*?\*/|<!\[CDATA\[|\]\]>", re.DOTALL)
@@ -132,14 +133,14 @@ def _is_line(points: Array) -> bool:
 
 
 def _as_parsed(text: bytes) -> bytes:
-    """A drawing in which svgelements reads paths right: it ends a path at a number like "1.", fails at one without data, and
-    has S go on from Q or T, and T from C or S, unless a line is between them."""
+    """A drawing that svgelements reads right: it ends a path at a number like "1.", fails at one without data, has S go on from
+    Q or T, and T from C or S, unless a line is between them, and takes what follows the address of a font for a remark."""
 
     def mended(found: re.Match[bytes]) -> bytes:
         data = re.sub(rb"([0-9]\.)(?![0-9])", rb"\g<1>0", found[2])
         return found[1] + re.sub(rb"[QqTt][^A-DF-Za-df-z]*(?=[Ss])|[CcSs][^A-DF-Za-df-z]*(?=[Tt])", rb"\g<0>l0 0", data)
 
-    return _PATHS.sub(mended, _NO_DATA.sub(rb'\1 d=""', text))
+    return _PATHS.sub(mended, _NO_DATA.sub(rb'\1 d=""', _FONTS.sub(b"", text)))
 
 
 def _flat(part: Sequence[object]) -> Array:
