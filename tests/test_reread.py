@@ -487,6 +487,16 @@ def test_rules_that_svgelements_passes_over(tmp_path: Path, rule: str, known: bo
     assert isinstance(read_again(SvgSpec.model_construct(svg=path, width=0.05)), NotRead) == ("color" not in rule)
 
 
+@pytest.mark.parametrize("width", [0.05, 4.0])
+def test_chords_are_as_fine_on_large_drawings(tmp_path: Path, width: float) -> None:
+    path = tmp_path / "a.svg"
+    path.write_text('<svg xmlns="http://www.w3.org/2000/svg"><path d="M0 5A5 5 0 0 1 10 5A5 5 0 0 1 0 5z"/></svg>')
+    (again,) = read_again(SvgSpec.model_construct(svg=path, width=width))
+    assert np.hypot(*again.T) == pytest.approx(0.5 * width)
+    chord = np.hypot(*np.diff(again, axis=0).T).max()
+    assert chord**2 / (4.0 * width) < 1.05e-5  # m, its height: chord^2 / (8 radius)
+
+
 def test_rules_behind_a_font_are_read_again(tmp_path: Path) -> None:
     path = tmp_path / "a.svg"
     sheet = "<style>@font-face{src:url(https://example.org/a.woff)} .a{fill:none}</style>"

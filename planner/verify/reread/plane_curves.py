@@ -23,7 +23,8 @@ from planner.base.isolated import Killed, ask
 from planner.problem.cad_files import is_cad, is_iges
 from planner.problem.drawings import CurvesSpec, DxfSpec, NurbsSpec, PatternSpec, SvgSpec
 
-_STEPS = 96  # chords of a curved piece of an SVG path: 0.01 mm off a quarter circle of 150 mm radius
+_STEPS, _MOST_STEPS = 96, 10_000  # chords of a curved piece of an SVG path
+_OFF = 1e-5  # m by which they may leave it, beyond which there are more
 _FINE = 1e-5  # of a DXF curve's size, by which its chords may be off
 _SPANS = 200  # chords between the knots of a NURBS curve
 # What svgelements does not cut by, and what it draws where it stands instead of where it is used.
@@ -103,12 +104,15 @@ def _svg(path: Path, width: float, changed: int, size: int) -> Curves | NotRead:
         if isinstance(shape, Shape) and shape.values.get("visibility") not in ("hidden", "collapse")
     ]
     parts = [
-        (_painted(shape), points)
+        (_painted(shape), pieces)
         for shape in shapes
         for part in abs(Outline(shape)).as_subpaths()
-        if _is_line(points := _flat(part))
+        if _is_line(_joined(pieces := _pieces(part)))
     ]
-    lines = [points for painted, points in parts if painted] or [points for _, points in parts]
+    seen = [pieces for painted, pieces in parts if painted] or [pieces for _, pieces in parts]
+    wide = float(np.ptp(np.concatenate([_joined(pieces) for pieces in seen])[:, 0])) if seen else 0.0
+    off = _OFF * wide / width or np.inf
+    lines = (np.concatenate([_finer(*piece, off) for piece in pieces]) for pieces in seen)
     return _as_wide(_once(("", line) for line in lines), width, np.array([1.0, -1.0]))
 
 
@@ -143,20 +147,35 @@ def _as_parsed(text: bytes) -> bytes:
     return _PATHS.sub(mended, _NO_DATA.sub(rb'\1 d=""', _FONTS.sub(b"", text)))
 
 
-def _flat(part: Sequence[object]) -> Array:
-    """Points (n, 2) along the segments of a subpath."""
+def _pieces(part: Iterable[Any]) -> list[tuple[Any, Array]]:
+    """The segments of a subpath that are curves, None for those that are straight, and points (n, 2) along each."""
     from svgelements import Close, Line, Move
 
-    out: list[Array] = []
+    out: list[tuple[Any, Array]] = []
     for segment in part:
-        if isinstance(segment, Move):
-            continue
         if isinstance(segment, (Line, Close)):
-            ends = (segment.start, segment.end)
-            out.append(np.array([(p.x, p.y) for p in ends if p is not None], dtype=float))
-        else:
-            out.append(np.array(segment.npoint(np.linspace(0.0, 1.0, _STEPS + 1)), dtype=np.float64))  # type: ignore[attr-defined]
-    return np.concatenate(out) if out else np.zeros((0, 2))
+            ends = [(p.x, p.y) for p in (segment.start, segment.end) if p is not None]
+            out += [(None, np.array(ends, dtype=float))] if ends else []
+        elif not isinstance(segment, Move):
+            out.append((segment, _along_segment(segment, _STEPS)))
+    return out
+
+
+def _joined(pieces: Sequence[tuple[Any, Array]]) -> Array:
+    return np.concatenate([np.zeros((0, 2)), *(points for _, points in pieces)])
+
+
+def _along_segment(segment: Any, steps: int) -> Array:
+    return np.array(segment.npoint(np.linspace(0.0, 1.0, steps + 1)), dtype=np.float64)
+
+
+def _finer(segment: Any, points: Array, off: float) -> Array:
+    """Points (n, 2) along a segment whose chords leave it by no more than `off`; of a straight one the same."""
+    if segment is None:
+        return points
+    bulge = float(np.linalg.norm(np.diff(points, 2, axis=0), axis=1).max()) / 8.0
+    steps = int(np.ceil(_STEPS * np.sqrt(bulge / off)))
+    return points if steps <= _STEPS else _along_segment(segment, min(steps, _MOST_STEPS))
 
 
 @lru_cache(maxsize=4)
