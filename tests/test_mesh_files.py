@@ -59,6 +59,12 @@ def test_every_format_gives_the_same_body(tmp_path: Path, kind: str) -> None:
     assert (a * np.cross(b, c)).sum() / 6.0 == pytest.approx(np.prod(SIDES) * 1e-9, rel=1e-6)
 
 
+def test_a_text_is_read_whatever_its_bodies_are_called(tmp_path: Path) -> None:
+    text = box().export(file_type="stl_ascii").replace("solid", "solid Vertex of facet normal 1")
+    (tmp_path / "part.stl").write_text(text)
+    np.testing.assert_allclose(sizes(tmp_path / "part.stl"), SIDES, rtol=1e-5)
+
+
 def test_squares_of_an_obj_are_two_facets_each_whatever_its_groups(tmp_path: Path) -> None:
     lines = [f"v {x} {y} {z}" for x in (0, 40) for y in (0, 40) for z in (0, 40)]
     squares = ("1 3 7 5", "2 6 8 4", "1 5 6 2", "3 4 8 7", "1 2 4 3", "5 7 8 6")

@@ -35,6 +35,7 @@ SMALLEST, GREATEST = 5.0, 20_000.0  # mm across, of what is printed or printed o
 _LIKELY = (20.0, 2000.0)  # mm across: units that make it so are named
 _HEADER = 84  # bytes of a binary STL file before its facets, of _FACET bytes each
 _FACET = 50
+_SOLID = re.compile(rb"^([ \t]*(?:end)?solid)\b[^\r\n]*", re.MULTILINE | re.IGNORECASE)  # with any name
 _THINNEST = 1e-9  # mm, height of a facet over its longest side: below, it is a line and has no normal
 _MODEL_HEAD = 65_536  # bytes of a 3MF model in which its unit stands
 _UNITS_3MF = {"micron": "um", "millimeter": "mm", "centimeter": "cm", "inch": "in", "foot": "ft", "meter": "m"}
@@ -188,6 +189,7 @@ def _binary(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
 def _text(path: Path, data: bytes, where: Complaint) -> trimesh.Trimesh:
     import trimesh
 
+    data = _SOLID.sub(rb"\1", data)
     words = data.lower()
     count = words.count(b"endfacet")
     _check_count(path, count, where)
