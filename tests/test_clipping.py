@@ -117,6 +117,15 @@ def test_a_drawing_keeps_all_but_its_specks(tmp_path: Path) -> None:
         laid(source, "layers.source.leave_out_share=0")
 
 
+def test_a_ring_of_which_rounding_leaves_nothing_is_a_speck(tmp_path: Path) -> None:
+    """0.94 mm around, longer than the bead is wide, and 0.3 mm across, where corners may be 0.2 mm off."""
+    drawn = '<path d="M0 0H40V40H0"/><circle cx="20" cy="20" r="0.15"/>'
+    (tmp_path / "a.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg">{drawn}</svg>')
+    source = f"layers.source={{svg: {tmp_path / 'a.svg'}, width_mm: 40}}"
+    toolpath = build_toolpath(load_problem("cylinder_logo", (source, "layers.count=1")))
+    assert len(toolpath.beads) == 1 and "too short for a bead" in toolpath.notes[0] and len(toolpath.left_out) == 1
+
+
 @pytest.mark.slow
 def test_a_pattern_over_a_step_is_cut_at_its_edge(tmp_path: Path) -> None:
     """A ledge of 3 mm across a block: both treads are printed, what lies at the riser is not."""

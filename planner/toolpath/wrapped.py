@@ -23,7 +23,7 @@ from planner.toolpath.plane_paths import (
     round_corners,
     with_seam,
 )
-from planner.toolpath.substrate.clipping import Clipped
+from planner.toolpath.substrate.clipping import SHORT, Clipped, Cut, vanishes
 from planner.toolpath.svg.outlines import PlanePath, read_svg_once
 from planner.toolpath.workload import check_curves
 
@@ -100,25 +100,35 @@ def wrap_drawing(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> Toolpat
     # tolerance, have the same shape, and lie exactly above each other.
     stretch = np.array([1.0 + spec.count * spec.height / cylinder.radius, 1.0])
     clipped = Clipped.of([replace(path, points=path.points * stretch) for path in paths], process.bead.width)
-    if clipped.share > spec.source.crumbs or not clipped.paths:
-        raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
+    _check_left_out(problem, spec, clipped)
     check_curves(problem, [path.points for path in clipped.paths], spec.count, "layers.source.width_mm")
-    curves = []
+    curves, cuts = [], list(clipped.cuts)
 
     def on_layer(points: Array) -> Array:
         return cylinder.wrap(points / stretch, spec.height)[0]
 
     for path in clipped.paths:
         curve = round_corners(with_seam(path, process.seam, on_layer), process.corner_tolerance)
+        if vanishes(path.points, curve.points, process.bead.width):
+            cuts.append(Cut(path.name, SHORT, path.points))
+            continue
         wider = "choose a smaller tolerance, or a greater layers.source.width_mm"
         check_size(problem, path.name, length(path.points), length(curve.points), wider)
         curves.append(replace(curve, points=curve.points / stretch, source=curve.source / stretch))
+    clipped = replace(clipped, cuts=tuple(cuts), paths=clipped.paths if curves else ())
+    _check_left_out(problem, spec, clipped)
     beads: list[Bead] = []
     for layer, row in enumerate(rows_of_layers(curves, spec.count, process.order)):
         beads += wrap_layer(row, cylinder, layer, spec.height, process.bead.width, process.bead.height)
     shape = cylinder_shape(cylinder.radius, cylinder.height, cylinder.centre)
     specks = tuple(cylinder.wrap(cut.points / stretch, spec.height)[0] for cut in clipped.cuts)
     return Toolpath(tuple(beads), cylinder, shape, (*told, *clipped.notes), left_out=specks, told=Told(clipped.share))
+
+
+def _check_left_out(problem: Problem, spec: LayersSpec | WrappedDxfSpec, clipped: Clipped) -> None:
+    """Raise InputError where more is left out than may be, or all."""
+    if clipped.share > spec.source.crumbs or not clipped.paths:
+        raise clipped.refusal(problem, "layers.source.width_mm", clipped.share if clipped.paths else None)
 
 
 def drawn_paths(problem: Problem, spec: LayersSpec | WrappedDxfSpec) -> tuple[tuple[PlanePath, ...], tuple[str, ...]]:

@@ -162,6 +162,11 @@ class TooMuchCut(ValueError):
         super().__init__(f"{clipped.share:.1%} of the length cannot be printed")
 
 
+def vanishes(drawn: Array, rounded: Array, width: float) -> bool:
+    """Whether a short line (n, 2) is too short for a bead of a width [m] once its corners are rounded (m, 2)."""
+    return length(drawn) < SHORTEST * width and length(rounded) < width
+
+
 def share_words(share: float) -> str:
     """A share that is at least this, as it stands in a problem file."""
     return f"{min(np.ceil(share / _ROUNDED_UP + 0.01) * _ROUNDED_UP, 1.0):.3g}"

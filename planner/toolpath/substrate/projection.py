@@ -67,6 +67,7 @@ from planner.toolpath.substrate.clipping import (
     off_or_steep,
     share_words,
     trim_curve,
+    vanishes,
 )
 from planner.toolpath.substrate.curved_facets import CREASE
 from planner.toolpath.substrate.falling import fallen
@@ -252,7 +253,7 @@ def _plane_curves(
         start = with_seam(path, process.seam, lambda points: substrate.project(points, 0)[0])
         share = _share(substrate, spec.count, densify(path.points))
         curve = round_corners(start, process.corner_tolerance, share)
-        if length(path.points) < SHORTEST * width and length(curve.points) < width:
+        if vanishes(path.points, curve.points, width):
             cuts.append(Cut(path.name, SHORT, path.points))
             continue
         hint = f"choose a smaller tolerance, or a greater {size_key(source)}"
