@@ -372,6 +372,22 @@ def test_what_lies_outside_of_the_page_is_told(tmp_path: Path, root: str, off: i
     assert len(told) == off and all("1 shape outside of the page" in each for each in told)
 
 
+@pytest.mark.parametrize(
+    ("drawn", "told"),
+    [
+        ('<rect width="20" height="10" fill="white"/>', True),
+        ('<path d="M0 0H20V10H0z"/>', True),
+        ('<rect width="20" height="9"/>', False),
+        ('<path d="M0 0L20 10M0 10L20 0"/>', False),
+        ('<ellipse cx="10" cy="5" rx="10" ry="5"/>', False),
+    ],
+)
+def test_a_background_is_told_of(tmp_path: Path, drawn: str, told: bool) -> None:
+    file = tmp_path / "page.svg"
+    file.write_text(f'<svg xmlns="{SVG}" viewBox="0 0 20 10" width="90mm">{drawn}<path d="M1 1L9 9"/></svg>')
+    assert any("along the edges of the page" in each for each in read_svg_once(file, 0.1, 1e-5)[1]) == told
+
+
 def test_symbols_are_fitted_into_their_use(read: Read) -> None:
     content = (
         '<symbol id="s" viewBox="0 0 10 20"><path d="M0 0L10 20"/></symbol>'

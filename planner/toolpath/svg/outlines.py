@@ -20,6 +20,7 @@ from planner.toolpath.svg.drawing import Drawing, Outline
 from planner.toolpath.twins import without_twins
 
 SAME_POINT = 0.01  # of the flatness: points nearer than this are one, or rounding in the file makes false corners
+_AT_EDGE = 0.002  # of the page: so near to its edge is at it
 
 
 @dataclass(frozen=True)
@@ -100,22 +101,29 @@ def _read(
     if len(seen) < len(drawn):
         unseen = len({outline.shape for outline in drawn}) - len({outline.shape for outline in seen})
         told.append(f"{count_of(unseen, 'shape')} with neither fill nor stroke, which no one sees, left out")
-    if off := _off_page(drawing.page, outlines):
+    off, frames = _about_page(drawing.page, outlines)
+    if off:
         told.append(f"{count_of(off, 'shape')} outside of the page, printed and counted in the width as all others")
+    if frames:
+        told.append(f"{count_of(frames, 'shape')} along the edges of the page, as a background is, printed as a frame")
     if dots:
         told.append(f"{count_of(dots, 'single point')} left out")
     return tuple(paths), told
 
 
-def _off_page(page: Array | None, outlines: Sequence[Outline]) -> int:
-    """How many shapes lie outside of the page."""
+def _about_page(page: Array | None, outlines: Sequence[Outline]) -> tuple[int, int]:
+    """How many shapes lie outside of the page, and how many run around it from corner to corner."""
     if page is None:
-        return 0
+        return 0, 0
     spans: dict[int, list[Array]] = defaultdict(list)
     for outline in outlines:
         spans[outline.shape] += [each.extremes() if each.kind == "arc" else each.points for each in outline.pieces]
     whole = [np.vstack(points) for points in spans.values()]
-    return sum(bool((each.max(axis=0) < page[0]).any() or (each.min(axis=0) > page[1]).any()) for each in whole)
+    off = [bool((each.max(axis=0) < page[0]).any() or (each.min(axis=0) > page[1]).any()) for each in whole]
+    near = _AT_EDGE * np.ptp(page, axis=0)
+    at_corners = [bool((np.abs(each[:, None] - page).min(axis=1) <= near).all()) for each in whole]
+    around = [bool((np.ptp(each, axis=0) > near).all()) and len(each) > 4 for each in whole]
+    return sum(off), sum(a and b for a, b in zip(at_corners, around, strict=True))
 
 
 def read_svg_once(
