@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from planner.cell.cell import build_cell
 from planner.cell.solids import Body, Box
@@ -13,15 +14,18 @@ from planner.collision.print_body import (
     CORNER_AREA,
     MERGED,
     PrintBody,
+    _is_near,
     _sides,
+    _tips,
     merged,
     print_body,
     split,
     standing,
 )
 from planner.problem import load_problem
-from planner.toolpath.bead import Toolpath
+from planner.toolpath.bead import Bead, Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.plane_paths import make_bead
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +155,26 @@ def test_points_on_a_bed_of_many_square_metres_stay_countable() -> None:
     bed = 5.0 * np.array([[[0, 0, 0], [1, 0, 0], [1, 1, 0]]], dtype=float)
     near, _ = _sides([bed], [np.ones(1, dtype=bool)], 0.5e-3)
     assert 0.5 * 5.0**2 / (CORNER_AREA * near**2) == pytest.approx(1e6)
+
+
+def _straight(length: float, samples: int) -> Bead:
+    """A bead along x, 10 mm above z = 0."""
+    points = np.column_stack([np.linspace(0.0, length, samples), np.zeros(samples), np.full(samples, 10e-3)])
+    up, ahead = np.tile([0.0, 0.0, 1.0], (samples, 1)), np.tile([1.0, 0.0, 0.0], (samples, 1))
+    return make_bead("line", 0, points, up, ahead, points, width=30e-3, height=10e-3)
+
+
+@pytest.mark.parametrize(("length", "samples"), [(8.0, 9), (100.0, 5001)])
+def test_a_surface_is_near_a_bead_all_along_however_long_that_is(length: float, samples: int) -> None:
+    """Samples are 1 m apart; or 20 mm, of which one in five is taken: places 50 mm from these were not near."""
+    tips = _tips(_straight(length, samples))
+    assert np.linalg.norm(np.diff(tips, axis=0), axis=1).max() <= 20e-3 + 1e-9
+    assert length - tips[-1, 0] <= 20e-3 + 1e-9
+    places = np.linspace(0.0, length - 10e-3, 997)
+    strip = np.array([[0, 0, 0], [10e-3, 0, 0], [0, 10e-3, 0]]) + places[:, None, None] * np.array([1.0, 0.0, 0.0])
+    assert _is_near(strip, cKDTree(tips)).all()
+
+
+def test_samples_alone_tell_what_is_near_where_they_are_close() -> None:
+    bead = _straight(2.5, 2501)  # a millimetre apart: one in two is enough
+    np.testing.assert_allclose(_tips(bead), bead.points[::2], rtol=0, atol=1e-12)

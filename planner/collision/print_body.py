@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from planner.base.arrays import Array, Flags, Ints, ReadOnlyArrays
 from planner.base.compiled import inner_njit, njit
+from planner.base.geometry import subdivided
 from planner.cell.bodies import nozzle_profile
 from planner.cell.cell import Cell, rigid_inverse
 from planner.cell.robot import bodies_with_tip
@@ -195,6 +196,7 @@ TIP_SLOPE = 0.25
 _GRAZED = 0.5
 CLEARANCE = 2e-3  # m: at this distance from the points nothing between them is nearer
 _NEAR = 20e-3  # m from a bead: here surfaces are known finely
+_SOME = 1000  # samples of a bead, about, that tell what is near; and places between those that are farther apart
 _FINE, _COARSE = 1.4e-3, 4e-3  # m, longest side of a triangle whose corners stand for it: near beads, and elsewhere
 _FINE_ENOUGH = 0.15e-3  # m that a bead bears, for which _FINE will do; near those that bear less it is less
 _MOST = 100_000  # points of either kind, about: more and they stand farther apart,
@@ -257,7 +259,7 @@ def print_body(toolpath: Toolpath, bodies: Sequence[Body] = ()) -> PrintBody:
     corners = _substrate(toolpath)
     surfaces = [(body.name, _corners(body)) for body in bodies]
     surfaces += [(PART, corners)] if corners is not None and len(corners) else []
-    tips = cKDTree(np.concatenate([bead.points[:: max(1, len(bead.s) // 1000)] for bead in beads]))
+    tips = cKDTree(np.concatenate([_tips(bead) for bead in beads]))
     pieces = [
         split(without_slivers(np.ascontiguousarray(triangles, dtype=float), _NEAR), _NEAR) for _, triangles in surfaces
     ]
@@ -387,6 +389,13 @@ def _spread(pieces: Array, near: Flags, sides: tuple[float, float]) -> tuple[Arr
             points.append(at)
             spread.append(far)
     return np.concatenate(points), np.concatenate(spread)
+
+
+def _tips(bead: Bead) -> Array:
+    """Places (n, 3) all along a bead, none of its line farther than _NEAR from the one before it."""
+    some = np.append(bead.s[:: max(1, len(bead.s) // _SOME)], bead.length)
+    step, share = subdivided(np.maximum(np.ceil(np.diff(some) / _NEAR), 1.0).astype(np.int64))
+    return _along(bead.s, bead.points, some[step] + share * (some[step + 1] - some[step]))
 
 
 def _is_near(pieces: Array, tips: cKDTree) -> Flags:
