@@ -20,6 +20,7 @@ from planner.motion.cubics import Cubics, JointState, extremes
 from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel.clearance import NOZZLE_POINTS, SLOPE, TravelClearance, travel_clearance
+from planner.motion.travel.detours import FITS, _walk
 from planner.motion.travel.moves import Bounds, between, resting, time_beside
 from planner.motion.travel.plan import TravelTask, _grown, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of, reaching
@@ -29,6 +30,7 @@ from planner.resolve.joint_path import JointPath
 from planner.toolpath.bead import Surface, Toolpath
 from planner.toolpath.gcode.layers import LevelLayers
 from planner.toolpath.runs import least_travel_time
+from planner.toolpath.waypoints.nearest import FAR
 from planner.toolpath.wrapped import Cylinder
 
 DT = 0.004
@@ -240,6 +242,30 @@ def test_lacking_height_as_if_every_point_were_looked_at(seed: int, k: int) -> N
     needed = np.maximum(np.minimum(space.full, cones) - 0.25e-3, min(0.0, float(gaps.min())))
     lacking = needed - PART.signed_distance(points.reshape(-1, 3)).reshape(needed.shape)
     assert (space.lacking(points) > 0.0) == (lacking.max() > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("height", "lift", "full"), [(0.5, 5.0, 5.5), (10.0, 30.0, 40.0), (10.0, 100.0, 50.0), (45.0, 30.0, 65.0)]
+)
+def test_a_travel_keeps_the_whole_lift_as_far_as_surfaces_tell(height: float, lift: float, full: float) -> None:
+    """In mm. Waypoints tell no distance beyond 50 from what they lie on; above what stands out more, 20 count."""
+    space = TravelClearance(PART, 1e-3 * height, 1e-3 * lift, np.zeros((2, 3)), np.zeros((2, len(NOZZLE_POINTS))))
+    assert 1e3 * space.full == pytest.approx(full)
+
+
+class NearBed(LevelLayers):
+    """A bed that is no farther away than FAR, as what waypoints tell of."""
+
+    def signed_distance(self, points: Array) -> Array:
+        return np.asarray(np.minimum(super().signed_distance(points), FAR))
+
+
+@pytest.mark.parametrize("fit", FITS)
+def test_an_arc_is_no_higher_than_surfaces_tell(fit: tuple[float, float]) -> None:
+    """The whole lift is 50 mm from the bed there; an arc that is to be higher by a fifth would rise all the way."""
+    tips = np.array([[0.0, 0.0, 0.01], [0.5, 0.0, 0.01]])
+    room = TravelClearance(NearBed((), ()), 0.01, 0.1, tips, np.full((2, len(NOZZLE_POINTS)), 0.01))
+    assert _walk(room, *fit)[:, 2].max() == pytest.approx(FAR)
 
 
 def test_a_travel_lasts_as_long_as_the_process_needs(cell: Cell) -> None:

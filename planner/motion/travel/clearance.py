@@ -11,12 +11,13 @@ from planner.base.compiled import njit
 from planner.cell.cell import Cell
 from planner.motion.cubics import Cubics, JointState
 from planner.toolpath.bead import Surface
+from planner.toolpath.waypoints.nearest import FAR
 
 NOZZLE_POINTS = (0.0, 0.01, 0.03, 0.06, 0.1)  # m behind the tip, along the nozzle, that must keep clear
 SLOPE = 0.5  # height gained, for each distance from an end: as steeply as runs rise
 STEP = 1e-3  # m that a point of the nozzle moves at most between two instants at which it is looked at
 SWEPT = 1e-3  # m that anything moves at most between two postures at which bodies are looked at
-_ENOUGH = 20e-3  # m: what is farther than this from the part is clear, however high travels are to be lifted
+_ENOUGH = 20e-3  # m of a lift that always count; more of it only up to FAR from the part
 _SLACK = 0.25 * STEP  # m of height that may be lacking, since a way is looked at in steps; but never to the part itself
 _FIRST_LOOK = 5e-3  # s between instants, unless the nozzle moves too far in that time
 _MOST_LOOKS = 20_000
@@ -103,8 +104,8 @@ class TravelClearance(ReadOnlyArrays):
 
     @property
     def full(self) -> float:
-        """Distance from the surface at which a travel is clear anywhere [m]."""
-        return self.height + min(self.lift, _ENOUGH)
+        """Distance from the surface at which a travel is clear anywhere [m]: the lift above the print, up to FAR."""
+        return self.height + min(self.lift, max(_ENOUGH, FAR - self.height))
 
     def lacking(self, points: Array) -> float:
         """Greatest height that the nozzle points (k, n, 3) lack [m]; the way is clear where it is 0 or less.

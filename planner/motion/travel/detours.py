@@ -26,6 +26,7 @@ from planner.motion.cubics import Cubics, chain
 from planner.motion.travel.clearance import SLOPE, SWEPT, TravelClearance, nozzle_points, track
 from planner.motion.travel.moves import Bounds, between, stopped
 from planner.motion.travel.ways import Built, Ends, lifted, reaching
+from planner.toolpath.waypoints.nearest import FAR
 
 _STEPS = 30  # of the walk round the part, if it were straight
 _GROWTH = 0.3  # of the distance from the nearer end: how long steps may be
@@ -112,7 +113,7 @@ def _walk(room: TravelClearance, steeper: float, higher: float) -> Array:
     """Tip positions (k, 3) from the start's to the end's, over the part as far as is needed; closer to the ends closer together."""
     p, goal = room.tips
     step = max(math.dist(p, goal) / _STEPS, _LEAST_STEP)
-    full = higher * room.full
+    full = min(higher * room.full, max(room.full, FAR))  # a greater height waypoints do not tell
     points = [p]
     left, gap, normal = math.dist(p, goal), float(room.gaps[0, 0]), room.surface.normals(p[None])[0]
     while len(points) < _MOST_STEPS and left > _LEAST_STEP:
