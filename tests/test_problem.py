@@ -394,7 +394,7 @@ def test_a_mistake_is_told_with_its_place(
         ("retract.speed_mm_s", 0.1, 200, "mm/s"),
         ("start.purge_mm", 0, 1000, "mm"),
         ("start.purge_speed_mm_s", 0.1, 200, "mm/s"),
-        ("filament_diameter_mm", 0.5, 10, "mm"),
+        ("filament_diameter_mm", 0.1, 500, "mm"),
         ("bead.width_mm", 0.01, 50, "mm"),
         ("bead.height_mm", 0.01, 50, "mm"),
     ],

@@ -234,6 +234,8 @@ def test_idea_makers_compensation_is_counted_tool_by_tool(read: Read) -> None:
     "said, diameters",
     [
         ("; filament_diameter = 2.85", [2.85]),
+        ("; filament_diameter = 0.35", [0.35]),  # of a fibre
+        (";filament_diameter: 120", [120.0]),  # of a cartridge that a ram empties
         ("; filament_diameter = 1.75,2.85\n; filament_diameter: 1.75,2.85", [1.75, 2.85]),
         ("; filament_diameter: 1.75", [1.75]),
         (";Filament Diameter #1: 2.850\n;Filament Diameter #2: 1.750", [2.85, 1.75]),

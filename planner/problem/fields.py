@@ -275,6 +275,8 @@ UNIT_VECTOR = AfterValidator(_unit_vector)
 Position = Annotated[Vector, Quantity("mm", -100_000, 100_000, count=3)]  # a hall of 100 m
 Angles = Annotated[Vector, Quantity("deg", -360, 360, count=3)]
 Thickness = Annotated[float, Quantity("mm", 0.01, 50)]  # from a fibre to large concrete beads
+FILAMENTS_MM = (0.1, 500)  # from a thin fibre to the bore of a ram
+FilamentDiameter = Annotated[float, Quantity("mm", *FILAMENTS_MM)]
 
 
 def key(alias: str, text: str, default: Any = ...) -> Any:

@@ -32,6 +32,7 @@ from planner.problem.fields import (
     PATH_OR_ARRAYS,
     UNIQUE,
     Angles,
+    FilamentDiameter,
     Form,
     Position,
     Quantity,
@@ -140,7 +141,7 @@ class GcodeSpec(SourceSection):
     """A file of planar G-code, whose extruding moves become beads."""
 
     gcode: Annotated[Path, PATH] = key("gcode", "the file, counted from the folder of the problem file")
-    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
+    filament_diameter: FilamentDiameter | None = key(
         "filament_diameter_mm",
         "of the filament that the file was sliced for [mm]; default: what the file says, else process.filament_diameter_mm",
         None,

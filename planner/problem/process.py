@@ -27,6 +27,7 @@ from planner.problem.by_layer import (
 )
 from planner.problem.fields import (
     IDENTIFIER,
+    FilamentDiameter,
     Form,
     Quantity,
     Section,
@@ -155,7 +156,7 @@ class MaterialSpec(Section):
     nozzle: Annotated[str, IDENTIFIER] | None = key(
         "nozzle", "its nozzle, by its name in cell.nozzles; default: cell.nozzle, which lays all materials", None
     )
-    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] | None = key(
+    filament_diameter: FilamentDiameter | None = key(
         "filament_diameter_mm", "diameter of its filament [mm]; default: process.filament_diameter_mm", None
     )
     nozzle_c: Annotated[float, Quantity("°C", 20, 500)] | None = key(
@@ -557,7 +558,7 @@ class ProcessSpec(AroundBeadSpec):
         "chord_tolerance_mm", "how far curves may leave the lines that approximate them [mm]", 0.01
     )
     cones: ConesSpec = key("cones", "how far nozzle and layer may lean; each has a default", {})
-    filament_diameter: Annotated[float, Quantity("mm", 0.5, 10)] = key(
+    filament_diameter: FilamentDiameter = key(
         "filament_diameter_mm", "diameter of the filament that the extruder pushes [mm]", 1.75
     )
     extruder: ExtruderSpec = key("extruder", "what pushes the filament; each has a default", {})

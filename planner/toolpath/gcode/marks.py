@@ -6,6 +6,8 @@ import re
 from functools import cache
 from itertools import islice
 
+from planner.problem.fields import FILAMENTS_MM
+
 NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 
 # By the words that a file holds, the first that fits; programs derived from others come before these.
@@ -48,7 +50,6 @@ _DIAMETER = re.compile(
     rf"|filament_diameter_mm_\d+[ \t]*:)[ \t]*({NUMBER}(?:[,|][ \t]*{NUMBER})*)",
     re.MULTILINE,
 )
-_DIAMETERS = (0.5, 10.0)  # mm: of filaments there are
 _SAID = re.compile(r"^[ \t]*M8[23]\b", re.MULTILINE)
 _FILAMENT = re.compile(rf"^(?:G92\b|G0?1 [^;\n]*[XY][^;\n]*E({NUMBER}))", re.MULTILINE)
 _LOOKED_AT = 4000  # moves
@@ -114,7 +115,8 @@ def diameters(text: str) -> tuple[float, ...]:
         return ()
     # one list of all tools, which a file may hold twice, or a line for each
     said = max(lists, key=len) if any(len(each) > 1 for each in lists) else [each[0] for each in lists]
-    return tuple(1e-3 * each for each in said) if all(_DIAMETERS[0] <= each <= _DIAMETERS[1] for each in said) else ()
+    known = all(FILAMENTS_MM[0] <= each <= FILAMENTS_MM[1] for each in said)
+    return tuple(1e-3 * each for each in said) if known else ()
 
 
 def compensates(text: str) -> bool:
