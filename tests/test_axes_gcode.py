@@ -618,6 +618,14 @@ def test_a_line_lasts_as_long_as_it_is_to(lasts: float) -> None:
     assert program.time[1] == pytest.approx(lasts, abs=3.1e-3)
 
 
+def test_a_hundred_kilometres_of_filament_are_read() -> None:
+    """As a bead of 400 m, 30 mm wide and 10 mm high takes, where a millimetre of filament is a cubic one."""
+    text = (GOLDEN / "two_beads.gcode").read_text(encoding="utf-8")
+    text = text.replace("G93\n", "G93\nG1 X1.0000 E120000000.12345 F1.0000\n", 1)
+    program = read_axes(text, spec("trunnion"), ("X", "Y", "Z", "A", "C"))
+    assert program.filament[1] == pytest.approx(120_000.00012345, rel=1e-12)
+
+
 def test_turning_beyond_a_range_is_found() -> None:
     _, text = written("trunnion")
     narrow = on(cap(), spec("trunnion", rotary=(axis("A", X, (1, 2, 30)), axis("C", Z, (-3, 5, 7), range_deg=(-1, 1)))))
