@@ -23,7 +23,7 @@ from benchmarks.scan import Truth, scanned
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 from planner.cell.cell import build_cell
-from planner.feedback.height_map import HeightMap, height_map, planned_top
+from planner.feedback.height_map import HeightMap, PlannedTop, height_map, planned_top
 from planner.feedback.learn_telling import write_problem as write_taught
 from planner.feedback.scan_command import ScannedPlan, in_part_frame, main, scanned_plan
 from planner.feedback.scan_fit import fit_cloud
@@ -47,6 +47,7 @@ from planner.register.fitting import FREEDOMS
 from planner.toolpath.as_printed import COLUMNS, DeviationField, beads_up_to, left, made_up, read_map
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.plane_paths import make_bead
 from planner.verify.as_printed import _over_print
 from planner.verify.scanned import ScannedTop, deviations, scanned_top, still_off
 from planner.verify.verdict import verify
@@ -257,6 +258,28 @@ def test_a_flat_print_has_a_map() -> None:
     found = height_map(planned_top(flat(), 1), scanned(flat(), 1), 2.5e-3, WRONG)
     off = found.smoothed - Truth.of(flat(), 1).at(found.top.middle)
     assert np.sqrt((off**2).mean()) < 0.025e-3
+
+
+@cache
+def wall() -> PlannedTop:
+    """The top of a bead along x that is 1 m long, 30 mm wide and 10 mm high."""
+    line = np.column_stack([np.linspace(0.0, 1.0, 201), np.zeros(201), np.full(201, 10e-3)])
+    up, ahead = np.tile([0.0, 0.0, 1.0], (201, 1)), np.tile([1.0, 0.0, 0.0], (201, 1))
+    bead = make_bead("wall", 0, line, up, ahead, line, width=30e-3, height=10e-3)
+    return planned_top(Toolpath((bead,), flat().surface), 1)
+
+
+def test_of_a_wide_and_high_bead_coarser_scans_and_greater_errors_are_taken() -> None:
+    """4 mm too low; scanned every 3 to 4 mm, with half a millimetre of noise."""
+    top = wall()
+    assert len(top.middle) == 112  # cells of 9 mm, of which each has six points or more
+    x, y = (each.ravel() for each in np.meshgrid(np.arange(0.0, 1.0, 4e-3), np.arange(-9e-3, 10e-3, 3e-3)))
+    noise = np.random.default_rng(5).normal(0.0, 0.5e-3, len(x))
+    found = height_map(top, np.column_stack([x, y, 6e-3 + noise]), 15e-3, WRONG)
+    assert found.covered > 0.9
+    assert np.median(found.deviation) == pytest.approx(-4e-3, abs=0.2e-3)
+    with pytest.raises(InputError, match="lies elsewhere"):  # the layer beneath
+        height_map(top, np.column_stack([x, y, noise]), 15e-3, WRONG)
 
 
 @pytest.mark.parametrize(

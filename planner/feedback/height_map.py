@@ -18,10 +18,10 @@ from planner.toolpath.as_printed import DeviationField
 from planner.toolpath.bead import Toolpath
 
 ACROSS = 0.3  # of a bead's width to either side: there its top is flat, farther out it falls away
-LONGEST_CELL = 3e-3  # m along and across a bead: over more, a print may bend
-WINDOW = 3e-3  # m: a print farther off is elsewhere, or has failed
+LONGEST_CELL = 3e-3  # m along and across a bead, or ACROSS of a wider one: over more, a print may bend
+WINDOW, WINDOW_SHARE = 3e-3, 0.5  # m, or of a bead's height: a print farther off is elsewhere, or of another layer
 FEWEST = 4  # points of a cell: the median of fewer can be an outlier
-SCATTER = 0.35e-3  # m, robust deviation of a cell's points: more are of two surfaces
+SCATTER, SCATTER_SHARE = 0.35e-3, 0.1  # m, or of a bead's height, robust deviation of a cell: more is of two surfaces
 LEAST_COVERED = 0.6  # share of the layer's cells that must be measured
 ELSEWHERE = 0.3  # share of cells with any point near them, below which the cloud is not of this layer
 _ALIKE = 8.0  # times as large, or as small, that a cloud and its layer may be: a scan sees more, or less
@@ -42,6 +42,7 @@ class PlannedTop(ReadOnlyArrays):
     cell (n)                 which cell each place is of
     middle, out (m, 3)       place in the middle of each cell, and its normal
     bead (m), s (m)          the cell's bead, and the arc length of its middle [m]
+    high (m)                 height of the bead there [m]
     """
 
     points: Array
@@ -52,6 +53,17 @@ class PlannedTop(ReadOnlyArrays):
     out: Array
     bead: Ints
     s: Array
+    high: Array
+
+    @property
+    def window(self) -> Array:
+        """How far (m) from the planned top the points of each cell may lie [m]."""
+        return np.asarray(np.maximum(WINDOW, WINDOW_SHARE * self.high))
+
+    @property
+    def most_scatter(self) -> Array:
+        """Robust deviation (m) that the points of each cell may have [m]."""
+        return np.asarray(np.maximum(SCATTER, SCATTER_SHARE * self.high))
 
 
 @dataclass(frozen=True)
@@ -92,7 +104,8 @@ def planned_top(toolpath: Toolpath, layer: int) -> PlannedTop:
         if bead.layer != layer - 1:
             continue
         width = float(bead.width.mean())
-        count = max(int(np.ceil(bead.length / min(width, LONGEST_CELL))), 1)
+        longest = max(LONGEST_CELL, ACROSS * width)
+        count = max(int(np.ceil(bead.length / min(width, longest))), 1)
         per = max(int(np.ceil(1.0 / _DENSE)), 2)
         s = (np.arange(count * per) + 0.5) * bead.length / (count * per)
         middles = (np.arange(count) + 0.5) * bead.length / count
@@ -104,8 +117,9 @@ def planned_top(toolpath: Toolpath, layer: int) -> PlannedTop:
         of = cells + np.repeat(np.arange(count), per)
         cells += count
         widths = np.interp(s, bead.s, bead.width)
-        numbers = np.full(count, i)
-        parts.append((along(s, bead.points), normals, widths, of, along(middles, bead.points), out, numbers, middles))
+        numbers, high = np.full(count, i), np.interp(middles, bead.s, bead.height)
+        cell = along(middles, bead.points), out, numbers, middles, high
+        parts.append((along(s, bead.points), normals, widths, of, *cell))
     return PlannedTop(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
@@ -117,7 +131,7 @@ def height_map(top: PlannedTop, cloud: Array, radius: float, complain: Complaint
     check_place(top, cloud, complain)
     height, cell = _heights(top, cloud)
     deviation, scatter, count = _cells(height, cell, len(top.middle))
-    measured = (count >= FEWEST) & (scatter <= SCATTER)
+    measured = (count >= FEWEST) & (scatter <= top.most_scatter)
     for _ in range(_ROUNDS):
         if not measured.any():
             break
@@ -156,7 +170,7 @@ def check_place(top: PlannedTop, cloud: Array, complain: Complaint) -> None:
     """Raise InputError, made by `complain`, for a cloud (n, 3) [m] in another unit, or far from the layer's top."""
     check_size(top, cloud, complain)
     away = cKDTree(cloud).query(top.middle)[0]
-    if float((away <= WINDOW).mean()) >= ELSEWHERE:
+    if float((away <= top.window).mean()) >= ELSEWHERE:
         return
     shift = (np.median(cloud, axis=0) - np.median(top.middle, axis=0)) * 1e3
     reason = (
@@ -175,13 +189,16 @@ def robust(values: Array) -> float:
 
 def _heights(top: PlannedTop, cloud: Array) -> tuple[Array, Ints]:
     """Heights (k) above the planned top [m] of the points that lie on the middles of beads, and the cell (k) of each."""
-    away, near = cKDTree(top.points).query(cloud, distance_upper_bound=2.0 * WINDOW)
+    window = top.window[top.cell]
+    away, near = cKDTree(top.points).query(cloud, distance_upper_bound=2.0 * float(window.max()))
     there = np.flatnonzero(np.isfinite(away))
     near = near[there]
     way = cloud[there] - top.points[near]
     height = (way * top.normals[near]).sum(axis=1)
     aside = np.linalg.norm(way - height[:, None] * top.normals[near], axis=1)
-    kept = (aside <= np.minimum(ACROSS * top.width[near], 0.5 * LONGEST_CELL)) & (np.abs(height) <= WINDOW)
+    flat = ACROSS * top.width[near]
+    across = np.minimum(flat, 0.5 * np.maximum(LONGEST_CELL, flat))
+    kept = (aside <= across) & (np.abs(height) <= window[near])
     return height[kept], top.cell[near[kept]].astype(np.int64)
 
 

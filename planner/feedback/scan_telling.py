@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from planner.base.arrays import Array
 from planner.base.errors import OutputError
 from planner.base.rapid_names import LONGEST_NAME
-from planner.feedback.height_map import FEWEST, SCATTER, HeightMap
+from planner.feedback.height_map import FEWEST, HeightMap
 from planner.feedback.learn_telling import TAUGHT
 from planner.problem import Problem
 from planner.problem.rewrite import Value, changed_text, with_values, without
@@ -87,7 +87,7 @@ def write_problem(problem: Problem, found: HeightMap, layer: int, most: float, f
 def lines_of(found: HeightMap, layer: int) -> list[str]:
     """What the map says, in words."""
     deviation = found.deviation[found.measured] * 1e3
-    holes, disagree = ~found.measured, (found.count < FEWEST) | (found.scatter > SCATTER)
+    holes, disagree = ~found.measured, (found.count < FEWEST) | (found.scatter > found.top.most_scatter)
     points = found.count[found.measured]
     low, middle, high = np.quantile(deviation, (0.0, 0.5, 1.0))
     out = [
