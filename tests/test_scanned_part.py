@@ -13,8 +13,10 @@ from planner.base.arrays import Array
 from planner.base.errors import InputError
 from planner.planning.check_command import main as check
 from planner.problem import load_problem
+from planner.problem.part import ScanSpec
 from planner.toolpath.bead import Toolpath
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.substrate.scan_surface import scan_surface
 from planner.verify.reread.scan import sheets_at
 
 RADII = np.array([55.0, 55.0, 30.0])  # mm
@@ -88,6 +90,16 @@ def test_a_scan_is_turned_moved_and_enlarged(tmp_path: Path) -> None:
     save(tmp_path / "dome.xyz", 0.05 * turned + [1.0, 2.0, 3.0])
     keys = "file: dome.xyz, unit: cm, scale: 2, rpy_deg: [90, 0, 0], origin_mm: [-20, 60, -40]"
     assert errors(built(tmp_path, keys))[0] < 0.06
+
+
+def test_beside_wide_beads_the_scan_is_known_as_far_as_they_are_wide() -> None:
+    """Of a slope of 1 in 20 that was scanned every 5 mm, beneath a line that ends 200 mm from the scan's rim."""
+    x, y = (each.ravel() for each in np.meshgrid(*[np.arange(-300, 301, 5) * 1e-3] * 2))
+    line = np.column_stack([np.linspace(-0.1, 0.1, 2001), np.zeros(2001)])
+    spec = ScanSpec.model_construct(file=Path("bed.xyz"), noise=0.5e-3, hole=None)
+    found = scan_surface(spec, np.column_stack([x, y, 0.05 * x]), [line], 30e-3, InputError)
+    beyond = np.abs(found.facets.corners[..., :2]).max(axis=(0, 1)) - [0.1, 0.0]
+    assert (beyond > 24e-3).all() and (beyond < 31e-3).all()
 
 
 def test_a_scan_whose_header_names_a_wrong_unit_is_told_its_scale(tmp_path: Path) -> None:

@@ -345,7 +345,8 @@ def _body(problem: Problem, part: PartSpec, clipped: Clipped, most: float) -> tu
     complain = partial(problem.error, _file_of(part))
     if part.scan is not None:
         curves = [densify(path.points) for path in clipped.paths]
-        scanned = scan_surface(part.scan, read_scan(part.scan, complain), curves, complain)
+        points = read_scan(part.scan, complain)
+        scanned = scan_surface(part.scan, points, curves, problem.process.bead.width, complain)
         there = _fitting(problem, scanned.facets, clipped, most)
         return scanned.top, replace(there, told=(*there.told, scanned.words))
     if part.mesh is None:

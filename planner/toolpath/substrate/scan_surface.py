@@ -20,7 +20,7 @@ from planner.problem.part import NOISIEST_MM, ScanSpec
 from planner.toolpath.substrate.mesh_surface import FacetTree, HeightField, fit
 from planner.toolpath.substrate.mesh_top import MeshTop
 
-BESIDE = 10e-3  # m beside curves within which points count
+BESIDE = 10e-3  # m beside curves, or a wider bead's width, within which points count
 KNOTS = (4, 6, 8, 11, 16, 23, 32, 45, 64)  # of the surface along the longer side of what is covered
 _BINS = 240  # along that side: points in one bin count as their mean
 _FACETS, _LEAST_FACET = 300, 0.5e-3  # facets along that side, and m, the least of a facet
@@ -66,8 +66,8 @@ class ScanSurface:
         )
 
 
-def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], where: Complaint) -> ScanSurface:
-    """The surface of points (n, 3) near curves, each of points x, y (k, 2).
+def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], width: float, where: Complaint) -> ScanSurface:
+    """The surface of points (n, 3) near curves, each of points x, y (k, 2), along which beads of a width [m] are laid.
 
     Raises the InputError of `where` for holes under the curves, and for points that are farther off than the noise.
     """
@@ -75,7 +75,8 @@ def scan_surface(spec: ScanSpec, points: Array, curves: Sequence[Array], where: 
     usual = _usual_distance(points)
     hole = spec.hole or max(_HOLE * usual, _LEAST_HOLE)
     _check_holes(spec, points, plane, hole, where)
-    low, high = plane.min(axis=0) - BESIDE, plane.max(axis=0) + BESIDE
+    beside = max(BESIDE, width)
+    low, high = plane.min(axis=0) - beside, plane.max(axis=0) + beside
     near = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)]
     if len(near) < FEWEST:
         lowest, highest = points.min(axis=0) * 1e3, points.max(axis=0) * 1e3
