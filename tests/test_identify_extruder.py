@@ -28,6 +28,7 @@ from planner.feedback.identify_extruder import (
     process_values,
     read_asked_line,
     read_table,
+    usual_length,
     width_of,
 )
 from planner.problem import Problem, load_problem
@@ -359,6 +360,12 @@ def test_a_table_that_tells_nothing_writes_nothing(
     Path("peer_cap_line_asked.json").write_text(line_text(asked()[1]))
     assert main(["extruder", "read", "line.csv", "peer_cap", "--write", "mine.yaml"]) == EXIT_NOT_VERIFIED
     assert "lag: not shown, at most" in capsys.readouterr().out and not Path("mine.yaml").exists()
+
+
+@pytest.mark.parametrize(("width", "wanted"), [(0.6e-3, 0.24), (10e-3, 0.24), (30e-3, 0.72)])
+def test_a_line_of_wide_beads_is_longer(width: float, wanted: float) -> None:
+    """The shortest section of 240 mm, 29 mm, would be as long as a bead of 30 mm is wide."""
+    assert usual_length(width) == pytest.approx(wanted)
 
 
 @pytest.mark.slow

@@ -23,7 +23,6 @@ from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import obstacles_of
 from planner.feedback.identify_delay import JointDelay, fit_delay
 from planner.feedback.identify_extruder import (
-    LENGTH,
     SHORTEST,
     fit_flow,
     flow_lines,
@@ -33,6 +32,7 @@ from planner.feedback.identify_extruder import (
     process_values,
     read_asked_line,
     read_table,
+    usual_length,
     waypoints_text,
 )
 from planner.feedback.identify_findings import deviation_words, findings, joint_lines, path_lines
@@ -408,7 +408,7 @@ def extruder_write_command() -> Command:
             type=_place,
             metavar="X,Y,Z",
             dest=f"line_{which}",
-            help=f"where the nozzle's tip {which} in the part frame [mm] (default: 240 mm along x around its origin, a bead's height up)",
+            help=f"where the nozzle's tip {which} in the part frame [mm] (default: 240 mm or more along x around its origin, a bead's height up)",
         )
     parser.add_argument(
         "--normal", type=_place, default=(0.0, 0.0, 1.0), metavar="X,Y,Z", help="out of the bed (default: 0,0,1)"
@@ -423,12 +423,14 @@ def extruder_write_command() -> Command:
 def _write_line(options: argparse.Namespace) -> int:
     """Write and plan a test line; returns the exit code."""
     problem = load_problem(options.problem)
-    height = problem.process.bead.height if options.bead is None else options.bead[1] * 1e-3
+    bead = None if options.bead is None else (1e-3 * options.bead[0], 1e-3 * options.bead[1])
+    usual = problem.process.bead
+    width, height = bead or (usual.width, usual.height)
+    half = 0.5 * usual_length(width)
     begin, end = (
-        np.array(given) * 1e-3 if given is not None else np.array([side * 0.5 * LENGTH, 0.0, height])
+        np.array(given) * 1e-3 if given is not None else np.array([side * half, 0.0, height])
         for given, side in ((options.line_begins, -1.0), (options.line_ends, 1.0))
     )
-    bead = None if options.bead is None else (1e-3 * options.bead[0], 1e-3 * options.bead[1])
     normal, length = np.array(options.normal), float(np.linalg.norm(end - begin))
     line = line_of(problem, length, bead)
     if length < SHORTEST:

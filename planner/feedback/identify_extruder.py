@@ -31,6 +31,7 @@ LARGEST_FILE = 5_000_000  # bytes
 # Shares of the line, and the bead's width there, in usual ones: up and down, by more and by less, with time to settle.
 STEPS = ((0.22, 1.0), (0.18, 1.5), (0.18, 1.0), (0.16, 0.7), (0.14, 1.5), (0.12, 1.0))
 LENGTH = 240e-3  # m: at 40 mm/s a lag of 0.2 s takes 8 mm for a step to be done by two thirds
+WIDTHS = 24.0  # of the bead, where that is more: the shortest section is three times as long as the bead is wide
 SHORTEST = 60e-3  # m
 RAMP = 0.1e-3  # m over which a width steps: waypoints stand apart
 SPACING = 1e-3  # m between waypoints
@@ -164,6 +165,11 @@ def line_of(problem: Problem, length: float, bead: tuple[float, float] | None = 
         rounded=rounded,
         filament=process.filament_diameter,
     )
+
+
+def usual_length(width: float) -> float:
+    """Length of a line [m] with a bead of some width [m], where nothing is said of it."""
+    return max(LENGTH, WIDTHS * width)
 
 
 def area_of(width: Array, height: float, rounded: bool) -> Array:
