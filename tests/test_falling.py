@@ -69,6 +69,11 @@ def test_in_a_direction_points_fall_to_where_their_line_meets_the_part_first() -
     assert farthest(landed, CENTRE + off + root[:, None] * way) < 0.05 * MM
 
 
+def test_a_part_may_lie_metres_beneath_the_curve() -> None:
+    landed = along(Ball(0.5, np.zeros(3)), np.array([[0.3, 0.0, 2.5]]), np.array([0.0, 0.0, -1.0]))
+    np.testing.assert_allclose(landed, [[0.3, 0.0, 0.4]], rtol=0, atol=1e-8)
+
+
 @pytest.mark.parametrize(
     "body",
     [

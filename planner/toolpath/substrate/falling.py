@@ -20,7 +20,7 @@ from planner.toolpath.substrate.bodies import SubstrateBody
 from planner.toolpath.svg.outlines import PlanePath
 
 APART = 0.1e-3  # m between points of a curve whose feet are found
-OUTSIDE = 1.0  # m against the direction from a curve's points, from which lines come
+OUTSIDE = 10.0  # m against the direction from a curve's points, from which lines come: farther than parts are large
 FARTHEST = 2.0 * OUTSIDE  # m that a line goes from there
 STEPS = 2000  # towards the surface, each as long as it is far
 NEAR, STEEP = 1e-4, 0.1  # m from the surface, and sine of the angle to it: from there lines go on to the tangent plane
