@@ -351,6 +351,17 @@ def test_the_note_on_flow_is_true_of_every_motor() -> None:
         assert "lags" not in flow_note(each)
 
 
+def test_the_note_on_flow_says_how_quick_a_motor_has_to_be_for_its_lag() -> None:
+    """What is laid in twenty samples is pushed in one: ten times as fast, by the slope over two, beside what is laid."""
+    plan = extruder_plan(lag=0.5)
+    t = plan.trajectory
+    assert "times as much" not in flow_note(plan)
+    at_once = 20.0 * float(t.flow.max()) * t.dt / (0.25 * np.pi * 1.75e-3**2)
+    feed = t.feed + np.where(np.arange(len(t.t)) > int(np.argmax(t.flow)), at_once, 0.0)
+    quick = dataclasses.replace(plan, trajectory=dataclasses.replace(t, feed=feed))
+    assert "it pushes up to 11 times as much as is ever laid" in flow_note(quick)
+
+
 def test_what_the_motor_pushes_stands_beside_the_flow_where_they_differ() -> None:
     assert [trace["name"] for trace in flow_chart(extruder_plan())["traces"]] == ["laid down"]
     assert len(flow_chart(extruder_plan(lag=0.05))["traces"]) == 2

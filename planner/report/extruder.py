@@ -31,6 +31,8 @@ WORDS = {
     "cool": "wait until what is below is cool, at home or lifted",
 }
 
+QUICK = 5.0  # times what is laid at most: with lags up to 0.1 s it is three or four times, which motors can
+
 
 @dataclass(frozen=True)
 class Kind:
@@ -117,6 +119,12 @@ def flow_note(plan: Plan) -> str:
             f" Flow lags the motor by {process.extruder.lag:g} s, so the motor runs ahead: more where flow grows, less "
             "where it falls."
         )
+        times = most_pushed(plan)
+        if times > QUICK:
+            note += (
+                f" Where beads begin and end it pushes up to {significant(times, 2)} times as much as is ever laid: one that "
+                "cannot lays too little where a bead begins, and too much behind its end."
+            )
     if any(event.amount for event in events):
         note += " Beside beads the motor also pushes and pulls filament, which is not deposited."
     if any(event.kind == "cut" for event in events):
@@ -134,6 +142,14 @@ def pushed(plan: Plan) -> Array:
     """What the motor pushes (n) [m^3/s]: the rate of the feed, as volume."""
     t = plan.trajectory
     return np.asarray(filament_areas(plan.problem, t.events, t.t) * np.gradient(t.feed, t.dt))
+
+
+def most_pushed(plan: Plan) -> float:
+    """How many times as much as is ever laid the motor pushes at most within beads; 0 where nothing is laid."""
+    t = plan.trajectory
+    within = t.deposit & np.roll(t.deposit, 1) & np.roll(t.deposit, -1)  # beside others a prime or a retract may push
+    most = float(even_flow(t).max(initial=0.0))
+    return float(pushed(plan)[within].max(initial=0.0)) / most if most > 0.0 else 0.0
 
 
 def even_flow(trajectory: Trajectory) -> Array:
