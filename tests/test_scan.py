@@ -326,6 +326,16 @@ def test_freedoms_that_are_not_fitted_stay() -> None:
     assert straight.shift[2] - fit.shift[2] == pytest.approx(1e-3, abs=2e-5)
 
 
+def test_the_edges_of_a_wide_bead_tell_of_shifts() -> None:
+    """They are 15 mm from its middle; points are looked for within 2 mm of those of narrow beads in the end."""
+    random = np.random.default_rng(5)
+    x, y = random.uniform(0.0, 1.0, 6000), random.uniform(-15.5e-3, 15.5e-3, 6000)
+    noise = random.normal(0.0, 0.5e-3, 6000)
+    cloud = np.column_stack([x, y + 2e-3, 13e-3 + noise])
+    fit = fit_cloud(wall(), cloud, ("y", "z"), WRONG)
+    assert fit.shift == pytest.approx([0.0, -2e-3, -3e-3], abs=0.3e-3) and not fit.unseen
+
+
 def test_what_is_too_far_off_is_not_fitted() -> None:
     top = planned_top(drawn()[1], SCANNED)
     with pytest.raises(InputError, match="not to be fitted"):

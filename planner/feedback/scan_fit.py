@@ -21,6 +21,7 @@ from planner.register.fitting import Placement, looked_for, rows, split, words
 FARTHEST, MOST_TURNED = 10e-3, np.radians(5.0)  # m and rad, beyond which a cloud is not this layer's
 _ENOUGH = 20_000  # points: more make the fit no better
 _REACH = (12e-3, 6e-3, 3e-3, 2e-3)  # m, within which points find their places, in turn
+_BESIDE = 0.75  # widths of a bead, where that is more: edges, which tell of shifts, are half a width from its middle
 _ROUNDS = 12  # for each reach
 _STILL = 1e-7  # m: a step as small as this is the last one
 _TUKEY = 4.685  # robust deviations, from which on a residual has no weight
@@ -51,13 +52,14 @@ def fit_cloud(top: PlannedTop, cloud: Array, free: tuple[str, ...], complain: Co
     MOST_TURNED.
     """
     tree = cKDTree(top.points)
-    around = cloud[np.isfinite(tree.query(cloud, distance_upper_bound=_REACH[0])[0])]
+    beside = _BESIDE * float(np.median(top.width))
+    around = cloud[np.isfinite(tree.query(cloud, distance_upper_bound=max(_REACH[0], beside))[0])]
     some = around[:: max(1, len(around) // _ENOUGH)]
     unknowns = looked_for(free, np.zeros((3, 0)), False, top.middle)
     placement = Placement(np.eye(4), np.zeros(3))
     still = np.eye(4)[None]
     hidden, spread, on_beads = np.zeros((len(free), 0)), 0.0, 0.0
-    for reach in _REACH:
+    for reach in (max(each, beside) for each in _REACH):
         for _ in range(_ROUNDS):
             points = placement.seen(some, np.broadcast_to(still, (len(some), 4, 4)))
             away, near = tree.query(points, distance_upper_bound=reach)
