@@ -39,6 +39,21 @@ def test_a_nozzle_is_assumed_from_its_bore_and_held_by_a_tube_to_the_flange() ->
     assert isinstance(tube.solid, Capsule)
 
 
+def test_a_wide_nozzle_is_held_by_a_tube_as_thick_as_it_is() -> None:
+    *_, shaft, tube = heads("cell.nozzle.diameter_mm=20")
+    assert isinstance(shaft.solid, Frustum) and isinstance(tube.solid, Capsule)
+    assert tube.solid.radius == shaft.solid.top == pytest.approx(24e-3)
+    narrow = heads()[-1]
+    assert isinstance(narrow.solid, Capsule)
+    ahead = narrow.T_frame_solid[:3, 2]
+    for end in (-1.0, 1.0):  # from and to the same places
+        far, near = (
+            float(ahead @ body.T_frame_solid[:3, 3]) + end * (0.5 * solid.length + solid.radius)
+            for body, solid in ((tube, tube.solid), (narrow, narrow.solid))
+        )
+        assert far == pytest.approx(near)
+
+
 def test_an_outline_is_taken_as_it_is_and_may_have_steps() -> None:
     parts = heads("cell.nozzle.profile_mm=[[0, 0.5], [5, 4], [20, 4], [20, 12], [50, 12]]", "cell.nozzle.head={}")
     assert all(isinstance(part.solid, Frustum) for part in parts)

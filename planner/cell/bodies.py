@@ -41,7 +41,7 @@ _FLAT = 1e-6  # m: a mesh that is thinner has no hull
 _CONE = np.radians(30.0)  # half angle above the face, whose radius is the bore's diameter
 _THICKNESS = 4e-3  # m by which the nozzle is thicker than its face
 _LENGTH = 40e-3  # m
-_TUBE = 15e-3  # m, radius of what holds it, from its upper end to the middle of the flange
+_TUBE = 15e-3  # m, least radius of what holds it, from its upper end to the middle of the flange
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,8 @@ def head_bodies(problem: Problem, spec: NozzleSpec, key: str, T_flange_nozzle: A
             bodies.append(Body(NOZZLE, Frustum(bottom, top, high - low), T))
     T_nozzle_flange = np.asarray(np.linalg.inv(T_flange_nozzle), dtype=float)
     if spec.head is None:
-        bodies += _tube(np.array([0.0, 0.0, -profile[-1][0]]), T_nozzle_flange[:3, 3])
+        thick = _TUBE if spec.profile is not None else profile[-1][1]
+        bodies += _tube(np.array([0.0, 0.0, -profile[-1][0]]), T_nozzle_flange[:3, 3], thick)
     for name, own in (spec.head or {}).items():
         where = partial(problem.error, f"{key}.head.{name}")
         body = _solid_body(f"head {name}", own, where)
@@ -340,12 +341,16 @@ def head_bodies(problem: Problem, spec: NozzleSpec, key: str, T_flange_nozzle: A
     return tuple(bodies)
 
 
-def _tube(low: Array, flange: Array) -> list[Body]:
-    """What is assumed to hold the nozzle: a tube from its upper end to the middle of the flange, if there is room."""
+def _tube(low: Array, flange: Array, thick: float) -> list[Body]:
+    """What is assumed to hold the nozzle: a tube from its upper end to the middle of the flange, if there is room.
+
+    thick: its radius [m], where that is more than _TUBE
+    """
     way = flange - low
     length = float(np.linalg.norm(way))
     if length <= 2.0 * _TUBE:
         return []
+    radius = max(_TUBE, min(thick, 0.5 * length))
     way = way / length
     # its round ends lie within the nozzle's upper end and the flange
     aside = np.cross(way, np.eye(3)[int(np.argmin(np.abs(way)))])
@@ -353,7 +358,7 @@ def _tube(low: Array, flange: Array) -> list[Body]:
     T = np.eye(4)
     T[:3, :3] = np.column_stack([aside, np.cross(way, aside), way])
     T[:3, 3] = low + 0.5 * (_TUBE + length) * way
-    return [Body("print head", Capsule(_TUBE, length - _TUBE), T)]
+    return [Body("print head", Capsule(radius, length - _TUBE - 2.0 * (radius - _TUBE)), T)]
 
 
 def fixture_bodies(problem: Problem, carrier: str) -> tuple[Body, ...]:
