@@ -207,6 +207,22 @@ def test_the_fan_is_switched_before_pressure_is_built_up(sync: str) -> None:
         assert begin < end - 0.05 < at < end - 0.02
 
 
+def test_flow_within_a_bead_has_its_steps_however_fast_pressure_is_built_up() -> None:
+    """Twenty times as fast as material is laid, for 40 ms; later 5 % less is laid."""
+    plan = with_process(make_plan(beads=1, dip=False), extruder={"lag_s": 1.0})
+    t = plan.trajectory
+    moved, inside = np.diff(t.feed), np.flatnonzero(np.diff(t.extruded) > 0.0)
+    usual = float(np.median(moved[inside]))
+    moved[inside[:10]] *= 20.0
+    moved[inside[len(inside) // 2 :]] *= 0.95
+    plan = replace(plan, trajectory=replace(t, feed=np.append(0.0, np.cumsum(moved))))
+    text = gcode(plan)
+    assert gcode_differences(plan, text) == []
+    rates = [float(line.split("F")[1]) / 60e3 * t.dt / usual for line in text.splitlines() if line.startswith("G1")]
+    for rate in (1.0, 0.95):
+        assert any(each == pytest.approx(rate, rel=4e-3) for each in rates)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "difference"),
     [

@@ -24,6 +24,8 @@ from planner.export.languages import LANGUAGES
 from planner.export.rapid.reader import read_rapid, read_rapid_files
 from planner.export.rapid.text import Procedure, batches_of
 from planner.export.rapid.writer import rapid, rapid_files
+from planner.motion.extrusion import feed, filament_area
+from planner.problem.process import ExtruderSpec
 
 RAPID = LANGUAGES["rapid"]
 
@@ -72,6 +74,22 @@ def test_another_flow_is_found(pattern, new, difference):
     assert text != files["AskedBead.mod"]
     found = RAPID.differences(plan, files | {"AskedBead.mod": text})
     assert any(difference in each for each in found), found
+
+
+def test_steps_of_the_flow_are_of_what_is_laid_however_fast_pressure_is_built_up():
+    plan = make_plan(positioner=False, beads=1, length=0.020, dip=False, detour=False)
+    spec, t = problem(False, style="demand", demand_most=1000), plan.trajectory
+    spec.name = "asked_bead"
+    spec.process = spec.process.model_copy(update={"extruder": ExtruderSpec(lag_s=0.2)})
+    fed = feed(t.t, t.bead, t.extruded, t.flow, (), filament_area(spec.process), 0.2)
+    plan = replace(plan, problem=spec, trajectory=replace(t, feed=fed))
+    files = RAPID.write(plan)
+    assert RAPID.differences(plan, files) == []
+    levels = np.array([value for own in read_rapid(files["AskedBead.mod"]).demands.values() for _, value in own])
+    step = 0.01 * 0.5 * SPEED * BEAD_AREA * 1e9
+    assert levels.max() > 110 * step
+    usual = levels[levels < 200 * step] / step
+    assert np.abs(usual - np.round(usual)).max() < 0.01
 
 
 def test_a_rest_in_a_bead_is_no_part_of_the_flow_around_it():

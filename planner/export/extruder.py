@@ -16,7 +16,7 @@ from planner.base.errors import InputError
 from planner.base.gcode_lines import PAUSE, commands_in, time_of
 from planner.export.board import DONE, FIRMWARES, GRACE, SELECTS, lasts, least_time, rate_for, repeat, select, wait_for
 from planner.export.grammar import Grammar, Statement
-from planner.export.in_step import NEAR, Stretch, busy_ends, early, fed_within, laid_filament, stretches
+from planner.export.in_step import NEAR, Stretch, busy_ends, early, fed_within, laid_filament, stretches, without_lag
 from planner.plan.plan import SELECTS as SELECTING
 from planner.plan.plan import materials_of, used
 
@@ -150,7 +150,7 @@ Labels = NDArray[np.int64]
 
 FILE = "extrusion.gcode"
 BLOCK_S = 0.02  # shortest command [s]: a board that is fed faster than 50 lines/s may stutter
-FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow become one command
+FLOW_STEP = 0.01  # blocks whose flow is equal to this share of the largest flow that is laid become one command
 LONGEST_S = 10.0  # of one along a bead [s]: what flow differs by within it adds up, and boards pause between them
 NOTHING = -1  # label of what belongs neither to a bead nor to an event
 FIRST_EVENT = -2  # label of the first event; those of later ones count down
@@ -222,7 +222,7 @@ def gcode(plan: Plan) -> str:
 def parts_of(plan: Plan) -> tuple[Part, ...]:
     """All that the board does, by the plan's time [s] from its start."""
     t = plan.trajectory
-    cuts, label = _chunks(t)
+    cuts, label = _chunks(plan)
     fed = t.feed * 1e3
     # differences of rounded totals: rounding never adds up, neither in filament nor in time
     amount = np.diff(np.round(fed[cuts] - fed[0], AMOUNT_DIGITS))
@@ -457,11 +457,12 @@ def _clipped(parts: Sequence[Part], stretch: Stretch, dt: float) -> list[Part]:
     return found
 
 
-def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
+def _chunks(plan: Plan) -> tuple[Indices, Labels]:
     """Samples (m + 1) between which filament moves at a constant rate, and what each chunk (m) belongs to.
 
     That is the index of a bead, FIRST_EVENT less the index of an event, or NOTHING.
     """
+    t = plan.trajectory
     moved = np.diff(t.feed)
     # a bead's first or last part sample belongs to the bead beside it
     label = np.where(np.diff(t.extruded) > 0.0, np.maximum(t.bead[:-1], t.bead[1:]), NOTHING)
@@ -476,10 +477,15 @@ def _chunks(t: Trajectory) -> tuple[Indices, Labels]:
     first = np.repeat(starts, ends - starts)
     at = np.arange(len(moved))
     heads = np.flatnonzero((at == first) | (((at - first) % block == 0) & (label > FIRST_EVENT)))
-    mean = np.add.reduceat(moved, heads) / np.diff(np.append(heads, len(moved)))
-    level = np.round(mean / max(float(np.abs(mean[label[heads] >= 0]).max(initial=0.0)), 1e-300) / FLOW_STEP)
+    count = np.diff(np.append(heads, len(moved)))
+    mean, within = np.add.reduceat(moved, heads) / count, label[heads] >= 0
+    most = float(np.abs(mean[within]).max(initial=0.0))
+    if plan.problem.process.extruder.lag > 0.0:  # pressure is built up many times as fast as material is laid
+        laid = np.add.reduceat(without_lag(plan), heads) / count
+        most = min(most, float(laid[within].max(initial=0.0)))
+    level = np.round(mean / max(most, 1e-300) / FLOW_STEP)
     often = max(1, round(LONGEST_S / (block * t.dt)))
-    long = (label[heads] >= 0) & ((heads - first[heads]) // block % often == 0)
+    long = within & ((heads - first[heads]) // block % often == 0)
     changes = long | np.concatenate([[True], (np.diff(level) != 0) | (np.diff(label[heads]) != 0)])
     cuts = heads[changes]
     return np.append(cuts, len(moved)), label[cuts]

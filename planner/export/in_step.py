@@ -12,7 +12,7 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.export.moves import fed_spans, passed
 from planner.export.support import by_bead
-from planner.plan.plan import materials_of
+from planner.plan.plan import filament_areas, materials_of
 
 if TYPE_CHECKING:
     from planner.plan import Plan, Trajectory
@@ -78,6 +78,14 @@ def laid_filament(trajectory: Trajectory) -> Array:
     """Filament (n) [m] that was fed until each sample, without what events move: primes, retracts and purges."""
     moving = [event for event in trajectory.events if event.amount != 0.0]
     return trajectory.feed - trajectory.feed[0] - passed(trajectory.t, moving, [event.amount for event in moving])
+
+
+def without_lag(plan: Plan) -> Array:
+    """Filament (n - 1) [m] of what is laid in each sample, which the motor would feed there if flow followed at once."""
+    t = plan.trajectory
+    area = np.broadcast_to(np.asarray(filament_areas(plan.problem, t.events, t.t)), t.t.shape)[1:]
+    out: Array = np.diff(t.extruded) / np.where(area > 0.0, area, np.inf)
+    return out
 
 
 def fed_within(plan: Plan, found: tuple[Stretch, ...]) -> Array:

@@ -42,7 +42,7 @@ def _samples(t: Trajectory, event: Event) -> tuple[int, int]:
 # ----------------------------------------------------------------------------------------------------
 # Style `demand`: the flow on an analog output, as in Pollard et al.
 
-PERCENT = 0.01  # of the largest flow: the step of the demand
+PERCENT = 0.01  # of the largest flow that is laid: the step of the demand
 OUTPUT_DECIMALS = 4  # of the output's value
 
 
@@ -50,15 +50,15 @@ OUTPUT_DECIMALS = 4  # of the output's value
 class FlowDemand:
     """What moves (m) ask for.
 
-    percent  (m,) of the largest flow; 0 where no material is laid
-    top      output at the largest flow, in the output's own unit
+    percent  (m,) of the largest flow that is laid, more where pressure is built up; 0 where no material is laid
+    top      output at that flow, in the output's own unit
     """
 
     percent: NDArray[np.intp]
     top: float
 
     def value(self, percent: int) -> float:
-        """The output at a share of the largest flow."""
+        """The output at a share of the largest flow that is laid."""
         return round(self.top * PERCENT * percent, OUTPUT_DECIMALS)
 
 
@@ -77,13 +77,19 @@ def demand_of(plan: Plan, moves: Moves) -> FlowDemand:
     a, b = moves.start, moves.sample
     mean = np.where(moves.laid, (volume[b] - volume[a]) / (t.t[b] - t.t[a]), 0.0)
     largest = float(mean.max(initial=0.0))
+    base = largest
+    if plan.problem.process.extruder.lag > 0.0:  # pressure is built up many times as fast as material is laid
+        laid = np.where(moves.laid, (t.extruded[b] - t.extruded[a]) / (t.t[b] - t.t[a]), 0.0)
+        base = min(largest, float(laid.max(initial=0.0)))
     top = largest * 1e9 * program.demand_scale
     if top > program.demand_most:
         asked = f"{largest * 1e9:.3g} mm3/s ask for {top:.4g}, and the output goes to {program.demand_most:g}"
         hint = f"program.demand_scale of at most {program.demand_most / (largest * 1e9):.3g}"
         raise InputError(asked, field="program.demand_scale", hint=hint, file=plan.problem.file)
-    percent = np.round(mean / largest / PERCENT) if largest > 0.0 else np.zeros(len(mean))
-    return FlowDemand(percent.astype(np.intp), top)
+    percent = np.round(mean / base / PERCENT) if base > 0.0 else np.zeros(len(mean))
+    top = base * 1e9 * program.demand_scale
+    most = np.floor(program.demand_most / max(PERCENT * top, 1e-300) * (1.0 + 1e-9))  # which rounding may not pass
+    return FlowDemand(np.minimum(percent, most).astype(np.intp), top)
 
 
 # ----------------------------------------------------------------------------------------------------

@@ -197,7 +197,9 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
     first, last = fed_spans(t)
     if len(edges) != 2 * len(first):
         return ["the extruder is not switched on and off once for each bead"]
-    step = PERCENT * float(planned.max(initial=0.0))
+    most = float(planned.max(initial=0.0))
+    if plan.problem.process.extruder.lag > 0.0:  # steps are of what is laid, apart from where pressure is built up
+        most = min(most, float(np.diff(t.extruded).max(initial=0.0)) / t.dt * scale)
     worst, wrong = 0.0, np.nan_to_num(asked, nan=1.0)
     for a, b, begin, end in zip(first.tolist(), last.tolist(), edges[::2], edges[1::2], strict=True):
         along = (way[begin : end + 1] - way[begin]) * ((path[b] - path[a]) / max(way[end] - way[begin], 1e-12))
@@ -209,9 +211,10 @@ def demand_differences(plan: Plan, program: RobotProgram) -> list[str]:
             ends = [(j, min(max(k, j + 1), b)) for j in set(since) for k in set(until)]
             means = [float(total[k] - total[j]) / max(k - j, 1) for j, k in ends]
             off = max(min(means) - asked[i], asked[i] - max(means))
-            worst = np.inf if np.isnan(off) else max(worst, off)
+            here = float(planned[min(since) : max(max(until), min(since) + 1)].max(initial=most))
+            worst = np.inf if np.isnan(off) else max(worst, off / max(PERCENT * here, 1e-300))
         wrong[begin + 1 : end + 1] = 0.0
-    found = [] if worst <= 1.01 * step else [f"a flow is asked for that is off by {worst / step:.3g} % of the largest"]
+    found = [] if worst <= 1.01 else [f"a flow is asked for that is off by {worst:.3g} % of the largest"]
     return found + (["a flow is asked for outside of beads"] if wrong.any() else [])
 
 
