@@ -396,7 +396,7 @@ def test_11_the_nozzles_face_and_a_sheet_under_a_bead(tmp_path: Path) -> None:
         assert (planned.min() < 0.0) == fails
         if fails:
             check, worst = found.checks[NOZZLE], found.approaches[0]
-            assert (check.value, check.limit) == pytest.approx((-1.5, -1.0), abs=0.02)
+            assert (check.worst, check.limit) == pytest.approx((-1.5, -1.0), abs=0.02)
             assert (worst.a, worst.b) == ("nozzle", "sheet") and worst.distance == pytest.approx(-1.5e-3, abs=2e-5)
             assert planned.min() == pytest.approx(-0.5e-3, abs=2e-5)
 

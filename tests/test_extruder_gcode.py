@@ -255,7 +255,8 @@ def test_what_flow_differs_by_within_a_step_does_not_add_up_along_a_bead() -> No
     fed = np.append(0.0, np.cumsum(np.where(np.arange(n - 1) < 750, 1.0, 0.996) * dt))
     bead = np.zeros(n, dtype=np.int32)
     t = SimpleNamespace(t=dt * np.arange(n), dt=dt, feed=fed, extruded=fed, bead=bead, events=())
-    cuts, label = _chunks(t)  # type: ignore[arg-type]
+    problem = SimpleNamespace(process=SimpleNamespace(extruder=SimpleNamespace(lag=0.0)))
+    cuts, label = _chunks(SimpleNamespace(problem=problem, trajectory=t))  # type: ignore[arg-type]
     np.testing.assert_allclose(np.diff(cuts) * dt, LONGEST_S)
     assert set(label.tolist()) == {0}
     off = np.abs(np.interp(np.arange(n), cuts, fed[cuts]) - fed).max()

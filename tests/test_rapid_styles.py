@@ -160,7 +160,7 @@ def test_modules_end_where_the_robot_rests():
     assert {len(m.name) for batch in batches for m in batch} == {32}
     # a rest keeps the bead that it begins with
     (batch,) = batches_of("AVeryLongNameOfAPrintThatFrom123", [procedure("A", 10, True)], 100)
-    assert batch[0].name == "AVeryLongNameOfAPrintThFrom123_1"
+    assert batch[0].name == "AVeryLongNameOfAPrin275From123_1"
 
 
 @pytest.mark.parametrize(

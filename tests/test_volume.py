@@ -581,7 +581,7 @@ def one_sided() -> Array:
 
 def test_what_begins_in_the_air_beside_the_body_is_told_of(tmp_path: Path) -> None:
     """A loose piece from 3 to 5 mm: layers are 0.5 mm high, the middle of the seventh is at 3.25 mm."""
-    loose = built(tmp_path, boxes((SIDE, (0.0, 0.0, 3.0)), ((3.0, 3.0, 2.0), (20.0, 0.0, 4.0))), "  upper: {z_mm: 6}")
+    loose = built(tmp_path, boxes((SIDE, (0.0, 0.0, 3.0)), ((6.0, 6.0, 2.0), (20.0, 0.0, 4.0))), "  upper: {z_mm: 6}")
     note = "block.stl: nothing is beneath 1 place in layer 7 at x 20.0, y "
     assert sum(each.startswith(note) for each in loose.notes) == 1
     assert not any("beneath" in each for each in ring().notes)

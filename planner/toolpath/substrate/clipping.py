@@ -140,7 +140,11 @@ class Clipped:
             SHORT: f"path {cut.name!r} is only {length(cut.points) * 1e3:.3f} mm long at this size",
         }[cut.why]
         field, hint = {
-            SHORT: (size_key, f"at least as long as the bead is wide, {problem.process.bead.width * 1e3:g} mm"),
+            SHORT: (
+                size_key,
+                f"at least as long as the bead is wide, {problem.process.bead.width * 1e3:g} mm, once its corners are rounded "
+                "within process.corner_tolerance_mm",
+            ),
             FOLDS: ("layers.count", "fewer or thinner layers, or layers.offset: z"),
         }.get(
             cut.why,

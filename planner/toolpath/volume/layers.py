@@ -589,20 +589,17 @@ def _lost(
             narrow = polygons(region.difference(reached))
             filled = _inset(region, (spec.perimeters + 0.5) * width).buffer(_REACHED * width)
             between += polygons(within.difference(filled)).area
-            lost += sum(_area(path, width, spec.infill.density) for path in short[layer])
+            lost += sum(shapely.Polygon(path.points).buffer(0.5 * width).area for path in short[layer] if path.closed)
+            lines = sum(length(path.points) for path in short[layer] if not path.closed)
+            lost += min(
+                lines * width / spec.infill.density, within.area
+            )  # each with its share of what is open beside it
         narrow = shapely.MultiPolygon([part for part in narrow.geoms if not row or part.area > _SEEN * width**2])
         lost += narrow.area
         places += [(layer, np.asarray(part.exterior.coords)) for part in narrow.geoms]
     left = tuple(layer for layer, row in enumerate(rows) if not row)
     pieces = tuple((layer, path) for layer, paths in enumerate(short) if layer not in left for path in paths)
     return _Lost(left, pieces, tuple(places), lost / whole, between / whole, laid / wanted)
-
-
-def _area(path: PlanePath, width: float, density: float) -> float:
-    """What a path would have filled: a wall with all within it, a line with its share of what is open beside it [m^2]."""
-    if path.closed:
-        return float(shapely.Polygon(path.points).buffer(0.5 * width).area)
-    return length(path.points) * width / density
 
 
 def _notes(
