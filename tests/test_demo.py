@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from planner.base.launch import COMMANDS
-from planner.demo.command import NEXT, PROBLEM, SHIPPED, main, shipped_report
+from planner.report.demo import NEXT, PROBLEM, SHIPPED, main, shipped_report
 
 
 def test_the_report_is_shown(

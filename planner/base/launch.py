@@ -28,7 +28,7 @@ class CommandModule(NamedTuple):
 
 
 COMMANDS = {
-    "demo": CommandModule("planner.demo.command", "a print that ships planned, in the browser"),
+    "demo": CommandModule("planner.report.demo", "a print that ships planned, in the browser"),
     "solve": CommandModule("planner.planning.solve_command", "plan a print: from a problem file to a robot program"),
     "check": CommandModule("planner.planning.check_command", "read a problem and its files without planning it"),
     "new": CommandModule("planner.new.command", "make a problem file of your own"),

@@ -1,4 +1,4 @@
-"""The parsers of `python -m planner.reference`, with the files that it writes, and of `python -m planner.completion`."""
+"""The parsers of `python -m planner.reference`, with the files that it writes, and of `python -m planner.reference.completion`."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def reference_command() -> Command:
 
 
 def completion_command() -> Command:
-    """The parser of `python -m planner.completion`."""
+    """The parser of `python -m planner.reference.completion`."""
     parser = Command(
-        "completion",
+        "reference.completion",
         "Print a script with which a shell completes the commands of beadwise, their options, examples and robots.",
         {
             "bash > ~/.local/share/bash-completion/completions/beadwise": "for bash, from the next shell on",

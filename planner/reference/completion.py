@@ -11,7 +11,7 @@ import shtab
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_VERIFIED
-from planner.base.launch import COMMANDS
+from planner.base.launch import COMMANDS, end, launch
 from planner.cell.robot import robot_names
 from planner.problem import shipped_problems
 from planner.reference.command import completion_command
@@ -66,3 +66,7 @@ def _completed(parser: Command) -> Command:
         elif action.dest in ("out", "folder", "contacts", "file", "program", "log", "asked", "plan", "table", "write"):
             action.complete = shtab.FILE  # type: ignore[attr-defined]
     return parser
+
+
+if __name__ == "__main__":
+    end(launch("completion"))

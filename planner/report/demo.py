@@ -1,6 +1,6 @@
 """Show a print that ships planned: its report in the browser, and how to plan one's own.
 
-python -m planner.demo
+python -m planner.report.demo
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from pathlib import Path
 
 from planner.base.command_line import Command, exit_code
 from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
+from planner.base.launch import end, launch
 from planner.base.results import results_folder
 
-SHIPPED = Path(__file__).with_name("report.html.gz")
+SHIPPED = Path(__file__).with_name("demo.html.gz")
 PROBLEM = "hemisphere_honeycomb"
 RESULTS_BY = "demo"
 NEXT = (
@@ -36,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def demo_command() -> Command:
     """The parser of the command."""
     parser = Command(
-        "demo",
+        "report.demo",
         "Show a print that ships planned: its report in the browser.",
         {"": "into out/demo", "--no-browser": "only write the report, and say where it is"},
         {EXIT_VERIFIED: "the report was written", EXIT_INPUT: "the folder cannot be written"},
@@ -70,3 +71,7 @@ def _opened(address: str) -> bool:
         return webbrowser.open(address)
     except webbrowser.Error:
         return False
+
+
+if __name__ == "__main__":
+    end(launch("demo"))
