@@ -8,8 +8,10 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+from numba.core import event
 
 from planner.base import compiled, extras, launch
 from planner.base.errors import InputError
@@ -175,6 +177,25 @@ print(len(said), len(done) > 0 and done == sorted(done) and 0 < done[0])
         for _ in range(2)
     ]  # fmt: skip
     assert told == [["1", "True"], ["0", "False"]]
+
+
+def test_processes_forked_from_one_tell_once_of_kernels_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiled, "WORTH_TELLING", 0)
+    said, hears = os.pipe()
+    start = {"dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__="planner.kernels"))}
+    with compiled.while_compiling(lambda kernels, seconds: lambda there: os.write(hears, b"x") and None):
+        for _ in range(3):
+            child = os.fork()
+            if not child:
+                try:
+                    event.start_event("numba:compile", data=start)
+                    event.end_event("numba:compile", data=start)
+                finally:
+                    os._exit(0)
+            os.waitpid(child, 0)
+    os.close(hears)
+    with os.fdopen(said, "rb") as told:
+        assert told.read() == b"x"
 
 
 @pytest.mark.parametrize("called", ["beadwise", "python"])

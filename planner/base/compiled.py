@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing import Value
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +188,8 @@ def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Ite
     """In the block, tell when kernels begin to be compiled that were not found in numba's cache.
 
     begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is told after each
-    kernel how many of them are there, those of other processes too. It is not told of a few.
+    kernel how many of them are there, those of other processes too. It is not told of a few, and once by all processes
+    that are forked in the block.
     """
     with event.install_listener("numba:compile", _Listener(begun)):
         yield
@@ -221,12 +223,16 @@ class _Listener(event.Listener):
         self._told: Callable[[int], None] | None = None
         self._missing: list[Any] = []
         self._count = self._compiled = 0
+        self._said = Value("b", 0)  # by any process that was forked from this one
 
     def on_start(self, event: Any) -> None:
         if self._told is None and _is_ours(event.data["dispatcher"]):
             self._missing = _not_there()
             self._count = count = len(self._missing)
-            self._told = self._begun(count, count * SECONDS_A_KERNEL) if count >= WORTH_TELLING else lambda _: None
+            with self._said.get_lock():
+                first, self._said.value = not self._said.value, 1
+            worth = first and count >= WORTH_TELLING
+            self._told = self._begun(count, count * SECONDS_A_KERNEL) if worth else lambda _: None
 
     def on_end(self, event: Any) -> None:
         if self._told is not None and _is_ours(event.data["dispatcher"]):
