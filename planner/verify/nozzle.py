@@ -39,19 +39,32 @@ from planner.plan import Check, Trajectory
 from planner.problem import Problem
 from planner.problem.cell import NozzleSpec
 from planner.toolpath.bead import Toolpath
+from planner.verify.by_height import HeightBounds, height_above, height_bounds, least_so_high, none_so_near, rise
 from planner.verify.checks import DIGITS, EVERYWHERE, FAR, TOLERANCE, Judged, place
 from planner.verify.executed import ExecutedMotion
 
 _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels would be compiled once more
 _OFTEN = 25  # samples after which every body is looked at again, wherever it is
 _LOOK = 0.25  # share of the tip's zone ahead of it in which beads on a surface may count as laid before they are
-_BLOCK = 1e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
+_BLOCK = 2e-3  # m of the tip's way, on which points are looked at together: the longer, the more of them may matter
 _MOST_PARTS = 64  # of the time between two samples
 _RATE = 1.0 + TIP_SLOPE  # of a motion, by which a margin beyond the tip's zone changes at most
 _STEEP = 1e3  # slope by which no point within the tip's zone counts
 _SPARE = 0.1  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
 _AMPLE = 5e-3  # m: by so much more than the nearest body no other one is looked for
 _AT_ONCE = 50_000  # samples of a block whose true distances a thread looks for
+_SHORTEST, _LONGEST, _SKIPPED = (
+    6,
+    50,
+    8,
+)  # samples of a stretch that is passed over by heights, and looks without a try after one that failed
+_WORTH_BOUNDS = 2000  # samples of a way from which bounds by height are worth their finding
+_RARELY, _FEW_LOOKS = (
+    100,
+    4000,
+)  # samples between looks where none could find much; in long ways there are so many looks
+_FIRST_LOOKS = 1000  # of a body, at most, that find how near it is about
+_DEEP = 20e-3  # m beneath the tip: what is deeper counts as if it were there
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
 
 
@@ -95,17 +108,18 @@ class BlockRoom(NamedTuple):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def least_along(tree, solids, way, clearance, slope, search):
+def least_along(tree, solids, way, clearance, slope, bounds, search):
     """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
 
     Block by block of samples: every point that could matter in it is followed through it by itself.
 
-    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; search: `SearchRoom`.
+    tree: `TreeArrays`; solids: `HeadSolids`; way: `NozzleWay`; clearance [m] and slope as in `TipRule`; bounds: `HeightBounds`,
+    which may be of no body; search: `SearchRoom`.
     """
-    points, time = tree.points, tree.time
+    points, time, low_ones = tree.points, tree.time, len(bounds.floor)
     centre, reach, since, left, right = tree.centre, tree.reach, tree.since, tree.left, tree.right
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
-    tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
+    tip, rotation, path = way.tip, way.rotation, way.path
     slack, graze, seen = way.slack, way.graze, way.seen
     n, nodes = len(seen), search.nodes
     least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
@@ -124,7 +138,7 @@ def least_along(tree, solids, way, clearance, slope, search):
             rule = TipRule(clearance, slope, slack[b], graze[b])
             _pose(T_solid_frame[j], rotation[c], p, T)
             gone = max(path[c] - path[a], path[b] - path[c])
-            turn = max(turned[c] - turned[a], turned[b] - turned[c])
+            up, turn = rise(way, a, b, c)
             waiting, nodes[0] = 1, 0
             while waiting:
                 waiting -= 1
@@ -145,6 +159,11 @@ def least_along(tree, solids, way, clearance, slope, search):
                 moved = (1.0 + slope) * gone + (away + gone) * turn
                 if low - moved >= least - TOLERANCE:
                     continue
+                if low_ones > 0:
+                    height = reach[node] + up + away * turn + height_above(x, y, z, p, rotation[c])
+                    still = since[node] == FROM_THE_START
+                    if least_so_high(bounds, j, height, bounds.widest[node], still, graze[b]) >= least - TOLERANCE:
+                        continue
                 if left[node] >= 0:
                     nodes[waiting], nodes[waiting + 1] = left[node], right[node]
                     waiting += 2
@@ -152,9 +171,14 @@ def least_along(tree, solids, way, clearance, slope, search):
                 for i in range(-1 - left[node], -1 - left[node] + right[node]):
                     if time[i] >= seeing:
                         continue
-                    value = point_value(tree, i, solid, T, p, rule)
                     x, y, z = points[i, 0], points[i, 1], points[i, 2]
                     away = np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
+                    if low_ones > 0:
+                        height = up + away * turn + height_above(x, y, z, p, rotation[c])
+                        still = time[i] == FROM_THE_START
+                        if least_so_high(bounds, j, height, tree.radius[i], still, graze[b]) >= least - TOLERANCE:
+                            continue
+                    value = point_value(tree, i, solid, T, p, rule)
                     if value - (1.0 + slope) * gone - (away + gone) * turn >= least - TOLERANCE:
                         continue
                     for k in range(a, a if posed else b + 1):
@@ -173,9 +197,9 @@ def _here_and_there(tree, solids, way, clearance, slope, search):
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     tip, rotation, slack, graze, seen = way.tip, way.rotation, way.slack, way.graze, way.seen
     least, where, whose, which = FAR, 0, 0, -1
-    T = np.empty((4, 4))
+    T, apart = np.empty((4, 4)), max(_OFTEN, len(seen) // _FIRST_LOOKS)
     for j in range(len(kind)):
-        for k in range(0, len(seen), _OFTEN):
+        for k in range(0, len(seen), apart):
             _pose(T_solid_frame[j], rotation[k], tip[k], T)
             solid, rule = SolidNumbers(kind[j], size[j], planes), TipRule(clearance, slope, slack[k], graze[k])
             value, point = nearest_point(tree, solid, T, tip[k], rule, seen[k], least, np.inf, search)
@@ -260,22 +284,25 @@ def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, move
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def margins_along(tree, solids, way, clearance, slope, margin, search):
+def margins_along(tree, solids, way, rule, often, bounds, margin, search):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
     The slope is so steep that only points beyond the tip's zone count, slack / slope away. The least that these have to
     spare is found to _SPARE of the distance. Looks are as far apart as the margins at both ends of an interval allow:
     in between, the mean of the two falls by half of what the body moves at most.
-    Arguments as in `least_along`; margin (n) [m].
+    Where all that is there stands too low to be nearer than the target (`none_so_near`), they are up to `often` samples apart.
+    rule: `TipRule` with the least slack of the way; margin (n) [m]; the others as in `least_along`.
     """
+    clearance, slope = rule.clearance, rule.slope
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
     path, turned, n = way.path, way.turned, len(way.now)
     least, where, whose, which = _here_and_there(tree, solids, way, clearance, slope, search)
-    samples, values = np.empty(_OFTEN + 1, np.int64), np.empty(_OFTEN + 1)  # looks ahead, the nearest one on top
+    samples, values = np.empty(_DEEPEST, np.int64), np.empty(_DEEPEST)  # looks ahead, the nearest one on top
+    T, low_ones = np.empty((4, 4)), len(bounds.floor)
     for j in range(len(kind)):
         solid, own, c = SolidNumbers(kind[j], size[j], planes), T_solid_frame[j], solids.centre[j]
         arm = np.sqrt(c[0] ** 2 + c[1] ** 2 + c[2] ** 2) + solids.reach[j]
-        k, known, waiting = _ZERO, -1, 0
+        k, known, waiting, sure, span, skipped = _ZERO, -1, 0, _ZERO, _OFTEN, _ZERO
         value, known = _look_at(tree, solid, own, way, clearance, slope, k, known, margin[k] + _AMPLE, search)
         margin[0] = min(margin[0], value)
         if value < least:
@@ -283,11 +310,24 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
         while k < n - 1:
             target = least - max(TOLERANCE, _SPARE * (least + clearance))
             if waiting == 0:
-                look = _next_look(way, k, value - target, arm, slope)
+                look, sure = _next_look(way, k, value - target, arm, slope), k
+                if skipped > 0:
+                    skipped -= 1
+                while low_ones > 0 and skipped == 0 and sure < min(n - 1, k + often) and look < sure + span:
+                    last = min(n - 1, sure + span)
+                    c = (sure + last) // 2
+                    _pose(own, way.rotation[c], way.tip[c], T)
+                    if none_so_near(tree, solids, j, bounds, way, sure, last, T, rule, target, search):
+                        sure, span = last, min(2 * span, _LONGEST)
+                    elif span > _SHORTEST:
+                        span //= 2
+                    else:
+                        skipped = _SKIPPED
+                look = max(look, sure)
             else:
                 ahead, far = samples[waiting - 1], values[waiting - 1]
                 moved = _RATE * (path[ahead] - path[k] + arm * (turned[ahead] - turned[k]))
-                look = (k + ahead) // 2 if 0.5 * (value + far - moved) < target else k
+                look = (k + ahead) // 2 if ahead > sure and 0.5 * (value + far - moved) < target else k
             if look > k:
                 samples[waiting] = look
                 values[waiting], known = _look_at(
@@ -297,10 +337,10 @@ def margins_along(tree, solids, way, clearance, slope, margin, search):
                     least, where, whose, which = values[waiting], look, j, known
                 waiting += 1
                 continue
-            if ahead == k + 1 and 0.5 * (value + far - moved) < target:
-                rule = TipRule(clearance, slope, way.slack[ahead], way.graze[ahead])
+            if ahead == k + 1 and ahead > sure and 0.5 * (value + far - moved) < target:
+                here = TipRule(clearance, slope, way.slack[ahead], way.graze[ahead])
                 inside, found = _look_between(
-                    tree, solid, own, way, rule, k, 0.5 * (value + far), 0.5 * moved, target, search
+                    tree, solid, own, way, here, k, 0.5 * (value + far), 0.5 * moved, target, search
                 )
                 if found >= 0:
                     least, where, whose, which = inside, ahead, j, found
@@ -444,8 +484,9 @@ def nozzle_nearness(
 ) -> Nearness:
     """The least of distance - min(clearance, TIP_SLOPE * distance from the tip - slack) along a motion, and of distance +
     graze from what is there from the start (see `nearest_point`), to TOLERANCE, also between samples."""
-    way = _way(motion, now, room.slack, room, look)
-    found = least_along(tree.arrays, _solids(bodies), way, clearance, TIP_SLOPE, search_room())
+    way, solids = _way(motion, now, room.slack, room, look), _solids(bodies)
+    bounds = _bounds(tree, solids, way, TipRule(clearance, TIP_SLOPE, float(room.slack.min()), np.inf), 2e-5, 0.02)
+    found = least_along(tree.arrays, solids, way, clearance, TIP_SLOPE, bounds, search_room())
     return Nearness(np.empty(0), *found)
 
 
@@ -466,18 +507,30 @@ def beyond_the_tip(
     beyond_it = TipRoom(_STEEP * zone, np.full(len(now), np.inf))
     way, solids = _way(motion, now, room.slack, beyond_it, look), _solids(bodies)
     n, margin = len(now), np.full(len(now), FAR)
+    least_zone, often = float(zone.min()), int(np.clip(n // _FEW_LOOKS, _OFTEN, _RARELY))
+    rule = TipRule(clearance, _STEEP, _STEEP * least_zone, np.inf)
+    bounds = _bounds(tree, solids, way, rule, 0.98 * least_zone, 0.006)
     found: dict[int, tuple[float, int, int, int]] = {}
 
     def look_along(at: slice) -> None:
         """A block, and up to the first sample of the next."""
         some = NozzleWay(*(values[at.start : min(at.stop + 1, n)] for values in way))
         own = np.full(len(some.now), FAR)
-        least, k, body, point = margins_along(tree.arrays, solids, some, clearance, _STEEP, own, search_room())
+        least, k, body, point = margins_along(tree.arrays, solids, some, rule, often, bounds, own, search_room())
         margin[at] = own[: at.stop - at.start]
         found[at.start] = least, at.start + k, body, point
 
     in_blocks(look_along, n, _AT_ONCE)
     return Nearness(margin, *found[min(found, key=lambda start: (found[start][0], start))])
+
+
+def _bounds(
+    tree: PointTree, solids: HeadSolids, way: NozzleWay, rule: TipRule, nearest: float, fine: float
+) -> HeightBounds:
+    """Least margins by height; of no body, where a way is so short that it is looked at sooner than they are found."""
+    arrays, enough = tree.arrays, len(way.now) >= _WORTH_BOUNDS
+    own = solids if enough else HeadSolids(*(values[:0] for values in solids))
+    return height_bounds(arrays, own, rule, _DEEP, nearest, fine)
 
 
 def _solids(bodies: Packed) -> HeadSolids:

@@ -214,7 +214,7 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
         return
     length = np.linalg.norm(found.end - found.start, axis=1)
     dots, which = dots_along(found, max(APART, float(length.sum()) / _MOST))
-    off = distances_from(found, places.tip, [*_near(places.tip, dots, which, length if found.bend > 0.0 else None)])
+    off = _off_pieces(found, places.tip, dots, which)
     limit = _LAXER * process.corner_tolerance + _CHORDS * process.chord_tolerance + OFF_LEVEL
     yield worst_of(judged, places, DRAWN, off * 1e3, limit * 1e3, "mm")
     resumed = judged.trajectory.first_bead > 0
@@ -252,17 +252,27 @@ def _level_up_to(found: Segments, top: float) -> Flags:
     return np.asarray(level & (found.end[:, 2] <= top + _SAME_LEVEL))
 
 
-def _near(points: Array, dots: Array, which: Ints, length: Array | None) -> Iterator[Ints]:
-    """Pieces near to points (n, 3), as indices (n); `which` of them each dot (m, 3) is on. Of pieces whose lengths count, as
-    what they may bend does, the nearest of each octave: short ones that are nearer hide no long one."""
-    octave = np.zeros(len(dots), dtype=np.int64)
-    if length is not None:
+def _off_pieces(found: Segments, points: Array, dots: Array, which: Ints) -> Array:
+    """Distances (n) [m] of points (n, 3) from the nearest of all pieces, less what these may bend; `which` of them each dot
+    (m, 3) is on.
+
+    Where pieces may bend, the nearest of each octave of lengths count, since short ones that are nearer hide no long one;
+    points that are off none need no other look.
+    """
+    length = np.linalg.norm(found.end - found.start, axis=1)
+    octave, counts = np.zeros(len(dots), dtype=np.int64), [_NEAREST]
+    if found.bend > 0.0:
         octave = np.log2(np.maximum(length / max(float(np.median(length)), 1e-9), 1.0)).astype(np.int64)[which]
+        counts = [1, _NEAREST]
+    off = np.full(len(points), np.inf)
     for each in np.unique(octave):
-        own = which[octave == each]
-        tree = cKDTree(dots[octave == each])
-        near = tree.query(points, k=min(_NEAREST, len(own)))[1].reshape(len(points), -1)
-        yield from (own[k] for k in near.T)
+        own, tree = which[octave == each], cKDTree(dots[octave == each])
+        for most in counts:
+            left = np.flatnonzero(off > 0.0)
+            count = min(most, len(own))
+            near = tree.query(points[left], k=count)[1].reshape(len(left), count)
+            off[left] = np.minimum(off[left], distances_from(found, points[left], [own[k] for k in near.T]))
+    return off
 
 
 def _in_the_plane(judged: Judged, part: PartSpec, places: Places) -> Array:
