@@ -22,6 +22,7 @@ UNKNOWN = -1  # branch that is numbered by no convention but that of the inverse
 _STRAIGHT = 1e-3  # sine of joint 5 at zero below which axes 4 and 6 are parallel there, as makers count
 _PARALLEL = 0.02  # sine between axes that count as parallel
 _MEETS = 5e-3  # m: axes of a measured wrist that ought to meet are as near to each other
+_AHEAD = 4  # blocks that wait at most
 BLOCK = 8192  # samples at once: bounds the memory, since a Jacobian takes more than all that is kept of a sample
 
 
@@ -68,6 +69,8 @@ def executed_motion(cell: Cell, trajectory: Trajectory) -> ExecutedMotion:
                 rows = slice(start, min(start + BLOCK, stretch.stop))
                 q, block = np.ascontiguousarray(trajectory.q[rows]), whole.rows(rows)
                 found.append(pool.submit(_fill, block, own, q, trajectory.deposit[rows], *_nozzle(own, q)))
+                if len(found) > _AHEAD:  # poses and Jacobians that wait are far more than all that is kept
+                    found.pop(0).result()
         for each in found:
             each.result()
     return whole

@@ -27,6 +27,7 @@ _OFF = 0.75  # bead's heights by which the bead below may lie higher or lower th
 _AS_NEAR = 0.2  # bead's widths by which another place may be farther and count as being as near
 _NEAREST = 6  # places that are looked at
 _BESIDE_IT = 3  # places to either side along the bead, whose ages tell which of those is meant
+_AT_ONCE = 50_000  # places whose others are weighed at once, which bounds the memory
 _OWN = 0.5  # likewise of the bead's own layer, all of whose other places lie a whole height higher
 
 
@@ -110,17 +111,20 @@ def ages(places: LaidPlaces) -> tuple[Array, Ints]:
     Not a number, and -1, where a place lies on nothing, or on what is there from the beginning.
     """
     others = _others(places)
-    there = others >= 0
-    age = np.where(there, places.time[:, None] - places.time[others], np.nan)
-    beside = np.arange(len(age))[:, None] + np.arange(-_BESIDE_IT, _BESIDE_IT + 1)
-    held = np.clip(beside, 0, len(age) - 1)
-    same = (held == beside) & (places.run[held] == places.run[:, None])
-    around = np.sort(np.where(same, age[held, 0], np.nan), axis=1)  # what is not a number comes last
-    count = np.isfinite(around).sum(axis=1)
-    usual = around[np.arange(len(age)), np.maximum(count - 1, 0) // 2]
-    off = np.abs(age - usual[:, None])
-    best = np.argmin(np.where(np.isnan(off), np.inf, off), axis=1)
-    below = others[np.arange(len(age)), best]
+    nearest = others[:, 0]  # not a number where there is none, which comes last when sorted
+    age = np.where(nearest >= 0, places.time - places.time[nearest], np.nan)
+    below = np.empty(len(age), dtype=np.int64)
+    for first in range(0, len(age), _AT_ONCE):
+        own = slice(first, min(first + _AT_ONCE, len(age)))
+        beside = np.arange(own.start, own.stop)[:, None] + np.arange(-_BESIDE_IT, _BESIDE_IT + 1)
+        held = np.clip(beside, 0, len(age) - 1)
+        same = (held == beside) & (places.run[held] == places.run[own, None])
+        around = np.sort(np.where(same, age[held], np.nan), axis=1)
+        row, count = np.arange(len(around)), np.isfinite(around).sum(axis=1)
+        usual = around[row, np.maximum(count - 1, 0) // 2]
+        those = np.where(others[own] >= 0, places.time[own, None] - places.time[others[own]], np.nan)
+        off = np.abs(those - usual[:, None])
+        below[own] = others[own][row, np.argmin(np.where(np.isnan(off), np.inf, off), axis=1)]
     on = np.flatnonzero((below >= 0) & ~np.isnan(places.time[below]))
     found, bead = np.full(len(age), np.nan), np.full(len(age), -1)
     found[on] = places.time[on] - _when(places, on, below[on])
@@ -152,8 +156,10 @@ def _others(places: LaidPlaces) -> Ints:
             out[one[on], which[on]] = other[on]
             found[one[on]] = True
             left = left[~found[left]]
-    empty = np.argsort(out < 0, axis=1, kind="stable")  # what is found comes first, the nearest before others
-    return np.take_along_axis(out, empty, axis=1)
+    for first in range(0, len(out), _AT_ONCE):  # what is found comes first, the nearest before others
+        some = out[first : first + _AT_ONCE]
+        some[:] = np.take_along_axis(some, np.argsort(some < 0, axis=1, kind="stable"), axis=1)
+    return out
 
 
 def _lies_on(places: LaidPlaces, one: Ints, other: Ints, off: float) -> Flags:

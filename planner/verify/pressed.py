@@ -10,6 +10,7 @@ All is in the part frame, in metres; n counts samples, m rows of balls.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -25,6 +26,7 @@ _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels wo
 _APART = 0.25  # bead's heights between balls: their tops lie at most 0.016 heights beneath the bead's
 _OFTEN = 0.25  # bead's heights that the tip moves, or the nozzle's rim turns, from look to look
 _CELLS = 1.5  # cells of the grid on the way that the nozzle can touch beads on: more take longer, and so do fewer
+_AT_ONCE = 100_000  # rows that are made at once
 _MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
 LIMIT = 0.5  # of a bead's height, by which the nozzle may press into it: the rest still lies where it was laid
 
@@ -143,7 +145,7 @@ def laid_beads(judged: Judged) -> Laid:
 
 def _rows(laid: Laid, size: float) -> LaidRows:
     """The rows of balls of what is laid, in a grid whose cells have this size [m]."""
-    tip, normal, width, height, bead, sample = laid
+    tip, _, width, height, bead, sample = laid
     same = np.diff(bead) == 0
     apart = _APART * np.minimum(width, height)[1:]
     covered = np.concatenate(
@@ -155,21 +157,30 @@ def _rows(laid: Laid, size: float) -> LaidRows:
     of, number = np.repeat(np.arange(len(rows)), rows), np.arange(rows.sum()) - np.repeat(np.cumsum(rows) - rows, rows)
     at = np.minimum(low[of] + number, high[of])
 
-    def there(values: Array, at: Array = at) -> Array:
-        """Values (k) or (k, 3) of samples, at each row."""
-        columns = values.reshape(len(values), -1).T
-        return np.stack([np.interp(at, covered, column) for column in columns], axis=-1).reshape(-1, *values.shape[1:])
+    def balls(rows: slice) -> Balls:
+        own = of[rows]
+        return _balls(laid, covered, at[rows], low[own], high[own])
 
-    w, h, up = there(width), there(height), there(normal)
-    way = there(tip, np.minimum(at + 0.5, high[of])) - there(tip, np.maximum(at - 0.5, low[of]))
-    side = np.cross(up, way)
-    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-15)[:, None]
-    radius = 0.5 * np.minimum(w, h)
-    room = 0.5 * w - radius
-    across = np.ceil(room / (_APART * radius) - 1e-6).astype(np.int64) + 1
-    half = np.where(across > 1, room, 0.0)[:, None] * side
-    balls = Balls(there(tip) - radius[:, None] * up, half, radius, across, h)
-    return _in_cells(balls, there(sample), bead[starts][of], size)
+    centre = np.empty((len(at), 3))
+    for rows in _blocks(len(at)):
+        centre[rows] = balls(rows).centre
+    corner = centre.min(axis=0)
+    cell = np.floor((centre - corner) / size).astype(np.int64)
+    wide = cell.max(axis=0) + 1
+    key = (cell[:, 0] * wide[1] + cell[:, 1]) * wide[2] + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    keys, first = np.unique(key[order], return_index=True)
+    of, at = of[order], at[order]
+    found = Balls(centre, *(np.empty((len(at), *shape), kind) for shape, kind in _KINDS))
+    for rows in _blocks(len(at)):  # once more, in this order: to sort all of them would take as much memory again
+        for values, own in zip(found, balls(rows), strict=True):
+            values[rows] = own
+    when = np.interp(at, covered, sample)
+    bits = max(4, int(np.ceil(np.log2(4.0 * len(keys)))))
+    return LaidRows(
+        *found, when, bead[starts][of], np.append(first, len(at)), keys, np.minimum.reduceat(when, first),
+        _table(keys, bits), corner, wide, size,
+    )  # fmt: skip
 
 
 class Balls(NamedTuple):
@@ -182,22 +193,35 @@ class Balls(NamedTuple):
     height: Array
 
 
-def _in_cells(balls: Balls, when: Array, bead: Ints, size: float) -> LaidRows:
-    """Rows of balls in the cells of a grid, each in that of its middle."""
-    centre = balls.centre
-    low = centre.min(axis=0)
-    cell = np.floor((centre - low) / size).astype(np.int64)
-    wide = cell.max(axis=0) + 1
-    key = (cell[:, 0] * wide[1] + cell[:, 1]) * wide[2] + cell[:, 2]
-    order = np.argsort(key, kind="stable")
-    keys, first = np.unique(key[order], return_index=True)
-    since = np.minimum.reduceat(when[order], first)
-    bits = max(4, int(np.ceil(np.log2(4.0 * len(keys)))))
-    table = _table(keys, bits)
-    return LaidRows(
-        centre[order], balls.half[order], balls.radius[order], balls.across[order], balls.height[order], when[order],
-        bead[order], np.append(first, len(order)), keys, since, table, low, wide, size,
-    )  # fmt: skip
+_KINDS = (
+    ((3,), float),
+    ((), float),
+    ((), np.int64),
+    ((), float),
+)  # of the fields behind the first: shape and type of a row
+
+
+def _balls(laid: Laid, covered: Array, at: Array, low: Array, high: Array) -> Balls:
+    """Rows of balls at places (m) along what is laid, on beads from `low` to `high` (m); covered (k): places of its samples."""
+
+    def there(values: Array, at: Array = at) -> Array:
+        """Values (k) or (k, 3) of samples, at each row."""
+        columns = values.reshape(len(values), -1).T
+        return np.stack([np.interp(at, covered, column) for column in columns], axis=-1).reshape(-1, *values.shape[1:])
+
+    w, h, up = there(laid.width), there(laid.height), there(laid.normal)
+    way = there(laid.tip, np.minimum(at + 0.5, high)) - there(laid.tip, np.maximum(at - 0.5, low))
+    side = np.cross(up, way)
+    side /= np.maximum(np.linalg.norm(side, axis=1), 1e-15)[:, None]
+    radius = 0.5 * np.minimum(w, h)
+    room = 0.5 * w - radius
+    across = np.ceil(room / (_APART * radius) - 1e-6).astype(np.int64) + 1
+    half = np.where(across > 1, room, 0.0)[:, None] * side
+    return Balls(there(laid.tip) - radius[:, None] * up, half, radius, across, h)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
 
 
 @njit(cache=True, error_model="numpy")

@@ -379,14 +379,8 @@ def _speed(judged: Judged) -> Findings:
     mean = 0.5 * (before + after)
     limit = commanded * (1.0 + SPEED_TOLERANCE)
     fast = np.where(t.deposit, np.maximum(mean, t.speed), 0.0)
-    around = np.stack(
-        [np.concatenate([before[:1], before[:-1]]), before, after, np.concatenate([after[1:], after[-1:]])]
-    )
-    own = np.zeros(len(t))
-    for _, rows in judged.stretches:
-        if rows.stop - rows.start > 1:
-            own[rows] = np.linalg.norm(np.gradient(motion.tip[rows], t.dt, axis=0), axis=1)
-    claim = np.where(t.deposit, np.abs(t.speed - mean) - np.ptp(around, axis=0), np.abs(t.speed - own))
+    differ = _of_four(np.maximum, before, after) - _of_four(np.minimum, before, after)
+    claim = np.where(t.deposit, np.abs(t.speed - mean) - differ, np.abs(t.speed - _own_speed(judged)))
     travel = np.where(t.deposit, 0.0, mean)
     slow = np.minimum(mean, t.speed)[t.deposit]  # the mean alone would smooth the bottom of a short dip away
     at_speed = t.deposit & (mean >= commanded * (1.0 - SPEED_TOLERANCE)) & (mean <= limit)
@@ -409,6 +403,28 @@ def _speed(judged: Judged) -> Findings:
             "print_time_s": float(t.t[-1]),
         },
     )
+
+
+def _of_four(extreme: np.ufunc, before: Array, after: Array) -> Array:
+    """The greatest or least (n) of the speeds before and after each sample, and of those before and after these."""
+    out = np.asarray(extreme(before, after))
+    extreme(out[1:], before[:-1], out=out[1:])
+    extreme(out[:-1], after[1:], out=out[:-1])
+    return out
+
+
+def _own_speed(judged: Judged) -> Array:
+    """Speed of the tip (n) [m/s] by central differences, one-sided at the ends of each nozzle's stretch."""
+    tip, dt, out = judged.motion.tip, judged.trajectory.dt, np.zeros(len(judged.trajectory))
+    for _, stretch in judged.stretches:
+        if stretch.stop - stretch.start < 2:
+            continue
+        for rows in _blocks(stretch.stop - stretch.start):
+            first, last = max(stretch.start + rows.start - 1, stretch.start), stretch.start + rows.stop
+            some = np.linalg.norm(np.gradient(tip[first : min(last + 1, stretch.stop)], dt, axis=0), axis=1)
+            begin = stretch.start + rows.start
+            out[begin:last] = some[begin - first : last - first]
+    return out
 
 
 def _fastest(judged: Judged, fast: Array, limit: Array) -> Check:

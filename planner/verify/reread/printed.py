@@ -74,6 +74,7 @@ _LEVEL = 10.0  # by which heights count for more where layers are level: what li
 _SAME_LEVEL = 5e-6  # m by which heights of one layer may differ, rounded
 _NEAREST = 3  # places of a file's path among whose pieces the nearest one is
 _MOST = 1_000_000  # places of a file's path
+_AT_ONCE = 100_000  # places whose distances from it are found at once, which bounds the memory
 
 
 def as_the_problem_says(judged: Judged) -> Findings:
@@ -268,10 +269,10 @@ def _off_pieces(found: Segments, points: Array, dots: Array, which: Ints) -> Arr
     for each in np.unique(octave):
         own, tree = which[octave == each], cKDTree(dots[octave == each])
         for most in counts:
-            left = np.flatnonzero(off > 0.0)
-            count = min(most, len(own))
-            near = tree.query(points[left], k=count)[1].reshape(len(left), count)
-            off[left] = np.minimum(off[left], distances_from(found, points[left], [own[k] for k in near.T]))
+            left, count = np.flatnonzero(off > 0.0), min(most, len(own))
+            for some in np.array_split(left, len(left) // _AT_ONCE + 1):
+                near = tree.query(points[some], k=count)[1].reshape(len(some), count)
+                off[some] = np.minimum(off[some], distances_from(found, points[some], [own[k] for k in near.T]))
     return off
 
 
