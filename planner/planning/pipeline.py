@@ -17,6 +17,7 @@ from planner.base.arrays import Array
 from planner.base.compiled import was_compiled
 from planner.base.distribution import Spread
 from planner.base.errors import Blocked, InputError, Refusal, nearest_name
+from planner.base.freed import give_back
 from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
 from planner.base.progress import Stages
 from planner.base.results import results_folder
@@ -192,28 +193,7 @@ def solve(
                 stages.tell(f"more than {most:,} {what}: not compared with {BASELINE}")
         late = pieces and first_bead > 0  # the baseline is that of the rest, which is known once pieces are
         with _baseline_beside(compared and not late, given, dt, second_process) as baseline_metrics:
-            shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
-
-            def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
-                if pieces:
-                    return _planned_in_pieces(strategy, given, dt, stages, shared)
-                return _planned(strategy, given, dt, stages, shared, over)
-
-            try:
-                if toolpath.beads[0].round:
-                    check_upright(given)
-                whole_print = replace(given, first_bead=given.printed)
-                found, nearer = _as_can_be(strategy, whole_print, print_of, stages, over)
-                begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
-                if begin != found[0].first_bead:
-                    found = _rest_of(strategy, found, begin, dt, stages, shared)
-            except Refusal as refused:
-                refusal = _by_what_stands_there(given, refused)
-                again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
-                best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
-                elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
-                refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
-                raise refusal from None
+            found, nearer = _found(strategy, given, first_bead, dt, stages, second_process, over)
             given, planned, maps = found
             problem, toolpath = given.problem, given.toolpath
             if nearer is not None:
@@ -256,6 +236,43 @@ def solve(
             nearer=nearer,
         )
         return sealed(with_asked(plan, stages, given.body))
+
+
+def _found(
+    strategy: str,
+    given: PlanningContext,
+    first_bead: int,
+    dt: float,
+    stages: Stages,
+    second_process: bool,
+    over: Spread | None,
+) -> tuple[Planned, Nearer | None]:
+    """The whole print planned as can be, of which the rest from `first_bead` on is kept. Raises Refusal, with hints that were
+    tried."""
+    problem, toolpath, pieces = given.problem, given.toolpath, given.problem.process.split_beads
+    shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
+
+    def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
+        if pieces:
+            return _planned_in_pieces(strategy, given, dt, stages, shared)
+        return _planned(strategy, given, dt, stages, shared, over)
+
+    try:
+        if toolpath.beads[0].round:
+            check_upright(given)
+        whole_print = replace(given, first_bead=given.printed)
+        found, nearer = _as_can_be(strategy, whole_print, print_of, stages, over)
+        begin = _within(_above_what_is_printed(problem, found[0].toolpath, first_bead), found[0].toolpath)
+        if begin != found[0].first_bead:
+            found = _rest_of(strategy, found, begin, dt, stages, shared)
+    except Refusal as refused:
+        refusal = _by_what_stands_there(given, refused)
+        again = partial(solve, strategy=strategy, dt=dt, first_bead=first_bead, baseline=False)
+        best = None if strategy == DEFAULT else partial(again, strategy=DEFAULT)
+        elsewhere = other_places(problem) if refusal.posture or refusal.missing_mm else ()
+        refusal.trying(partial(hints_that_hold, problem, toolpath, plan=again, best=best, otherwise=elsewhere))
+        raise refusal from None
+    return found, nearer
 
 
 def _by_what_stands_there(given: PlanningContext, refusal: Refusal) -> Refusal:
@@ -525,7 +542,7 @@ def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages:
 def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
     """Paths of all beads by one strategy; the default's are those of the ladder, which are known, refined."""
     cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
-    with stages.stage("resolve"):
+    with stages.stage("resolve"), _given_back(_waypoints(given.toolpath) >= WORTH_HALVES):
         if strategy == "ladder" and given.start:
             return given.start
         if strategy != DEFAULT:
@@ -545,8 +562,10 @@ def _plan_along(
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     rest = paths[given.laid]
-    trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
-    with stages.stage("verify"):
+    large = _waypoints(toolpath) >= WORTH_HALVES
+    with _given_back(large):
+        trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
+    with stages.stage("verify"), _given_back(large):
         report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
         moving = problem.process.hand_over == "motion"
@@ -601,6 +620,8 @@ def trajectory_of(
     with stages.stage("timing"):
         halves = chain.from_iterable(in_halves(part, n, second_process, middle))
         timed = [replace(each, path=path) for each, path in zip(halves, paths, strict=True)]  # no path twice in memory
+        if done[-1] >= WORTH_HALVES:
+            give_back()
     with stages.stage("travel"):
         travels = [each for half in in_halves(ways, n, second_process) for each in half]
         touching = contacts_within(problem.process, toolpath)
@@ -637,6 +658,14 @@ def _elsewhere(
         if touching is not None:
             whole = with_rests(cell, timed, toolpath, process, whole, obstacles, touching)
     return join(cell, toolpath, process, timed, whole, dt, touching)
+
+
+@contextmanager
+def _given_back(large: bool) -> Iterator[None]:
+    """Memory that a stage of a large print freed goes back to the system, lest it stand beside what the next one needs."""
+    yield
+    if large:
+        give_back()
 
 
 def _waypoints(toolpath: Toolpath) -> int:
@@ -707,7 +736,8 @@ def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_p
     If a program differs from the plan, none is written, and a check of its own fails.
     """
     stages = stages or Stages()
-    plan = as_it_is(plan, stages)
+    with _given_back(_waypoints(plan.toolpath) >= WORTH_HALVES):
+        plan = as_it_is(plan, stages)
     with stages.stage("export"):
         try:
             _write_all(plan, folder, second_process)
