@@ -30,7 +30,7 @@ class Limit:
 
 
 # Of the whole print, whatever its source
-WAYPOINTS = Limit(3_000_000, "waypoints", "1.26 million take 11 minutes and 7.5 GB on two cores")
+WAYPOINTS = Limit(3_000_000, "waypoints", "1.26 million take 10 minutes and 7.8 GB on two cores")
 BEADS = Limit(50_000, "beads", "20,000 take five minutes on two cores: each has a travel of its own")
 BALLS = Limit(20_000_000, "places of the print to keep clear of", "0.4 kB each; flat beads have many")
 
