@@ -529,8 +529,14 @@ def _bounds(
 ) -> HeightBounds:
     """Least margins by height; of no body, where a way is so short that it is looked at sooner than they are found."""
     arrays, enough = tree.arrays, len(way.now) >= _WORTH_BOUNDS
-    own = solids if enough else HeadSolids(*(values[:0] for values in solids))
+    own = solids if enough else _no_solids(solids)
     return height_bounds(arrays, own, rule, _DEEP, nearest, fine)
+
+
+def _no_solids(like: HeadSolids) -> HeadSolids:
+    """None, as arrays of the same types."""
+    kind, size, planes, T_solid_frame, centre, reach = like
+    return HeadSolids(kind[:0], size[:0], planes[:0], T_solid_frame[:0], centre[:0], reach[:0])
 
 
 def _solids(bodies: Packed) -> HeadSolids:
