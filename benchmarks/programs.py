@@ -9,7 +9,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -22,7 +23,7 @@ from planner.export.in_step import laid_filament
 from planner.export.moves import FitFigures, Moves, deposits, fit_of, plan_moves, rests_of
 from planner.export.player.play import limited, play
 from planner.export.rapid.extruder import event_samples
-from planner.export.rapid.reader import read_rapid_files
+from planner.export.rapid.reader import read_rapid_stretches
 from planner.export.rapid.writer import rapid_files
 from planner.export.readback import judge
 from planner.plan import Plan
@@ -83,7 +84,7 @@ def asked(plan: Plan) -> list[str]:
     most = int((np.searchsorted(ends, ends + WINDOW - 1e-9) - np.arange(len(ends))).max(initial=0))
     changes = np.count_nonzero(np.diff(moves.speed[laid]))
     return [
-        f"{sum(len(bead.s) for bead in plan.toolpath.beads):,}",
+        f"{sum(len(plan.toolpath.beads[k].s) for k in np.unique(t.bead[t.deposit])):,}",
         f"{np.count_nonzero(moves.linear & ~moves.circular):,}",
         f"{np.count_nonzero(moves.circular):,}",
         f"{np.count_nonzero(~moves.linear):,}",
@@ -99,25 +100,29 @@ def asked(plan: Plan) -> list[str]:
     ]
 
 
-def row(plan: Plan) -> tuple[list[str], list[str]]:
-    """How near a plan's program is to it, as PLAYED has it, and what it does otherwise than the plan."""
+def rows(plan: Plan) -> Iterator[tuple[Plan, list[str], list[str]]]:
+    """The plan of each nozzle while it is in use; how near its program is to it, as PLAYED has it, and what that does otherwise.
+
+    Files are written and read for all of them at once.
+    """
     files, writing = timed(lambda: rapid_files(plan))
-    program, reading = timed(lambda: read_rapid_files(files))
-    played, playing = timed(lambda: play(program, plan.cell))
-    found, judging = timed(lambda: judge(plan, program, played))
-    agreement = found.agreement
-    cells = [
-        f"{1e3 * agreement.path:.3f} mm",
-        f"{np.degrees(agreement.axis):.3f}°",
-        f"{1e3 * found.corner:.3f} mm",
-        f"{1e3 * agreement.event:.4f} mm",
-        f"{1e3 * agreement.late:.1f} ms",
-        f"{100 * (found.laid - 1):+.2f} %",
-        f"{100 * (found.worst - 1):+.1f} %",
-        str(sum(each.moves for each in limited(program, played))),
-        *(f"{seconds:.2f} s" for seconds in (writing, reading, playing, judging)),
-    ]
-    return cells, found.differences()
+    programs, reading = timed(lambda: read_rapid_stretches(files))
+    for part, program in zip(plan.stretches, programs, strict=True):
+        played, playing = timed(partial(play, program, part.cell))
+        found, judging = timed(partial(judge, part, program, played))
+        agreement = found.agreement
+        cells = [
+            f"{1e3 * agreement.path:.3f} mm",
+            f"{np.degrees(agreement.axis):.3f}°",
+            f"{1e3 * found.corner:.3f} mm",
+            f"{1e3 * agreement.event:.4f} mm",
+            f"{1e3 * agreement.late:.1f} ms",
+            f"{100 * (found.laid - 1):+.2f} %",
+            f"{100 * (found.worst - 1):+.1f} %",
+            str(sum(each.moves for each in limited(program, played))),
+            *(f"{seconds:.2f} s" for seconds in (writing, reading, playing, judging)),
+        ]
+        yield part, cells, found.differences()
 
 
 @told
@@ -132,12 +137,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = EXIT_VERIFIED
     for name in options.problems or shipped_problems():
         plan = solve(load_problem(name, options.set))
-        first.add_row(name, *asked(plan))
-        cells, differences = row(plan)
-        second.add_row(name, *cells)
-        for difference in differences:
-            Console(stderr=True).print(f"{name}: {difference}", markup=False)
-            code = EXIT_NOT_VERIFIED
+        for part, cells, differences in rows(plan):
+            label = f"{name}, {part.cell.nozzle_name}" if len(plan.stretches) > 1 else name
+            first.add_row(label, *asked(part))
+            second.add_row(label, *cells)
+            for difference in differences:
+                Console(stderr=True).print(f"{label}: {difference}", markup=False)
+                code = EXIT_NOT_VERIFIED
     for table in (first, second):
         Console(width=180).print(table)
     return code
