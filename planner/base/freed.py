@@ -8,9 +8,9 @@ from contextlib import suppress
 
 
 def give_back() -> None:
-    """Give back what was freed: glibc keeps it, in pieces between what is in use, which of a large print is as much again.
+    """Return freed memory to the system. glibc keeps small freed blocks; after a large print they add up to as much as its plan.
 
-    Elsewhere nothing is done. It takes some 50 ms a gigabyte.
+    With another C library, nothing is done.
     """
     if sys.platform.startswith("linux"):
         with suppress(AttributeError, OSError):  # another library, or none that can be asked

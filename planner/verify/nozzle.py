@@ -53,16 +53,11 @@ _STEEP = 1e3  # slope by which no point within the tip's zone counts
 _SPARE = 0.1  # of the least distance beyond the tip's zone, by which the one that is found may exceed the true one
 _AMPLE = 5e-3  # m: by so much more than the nearest body no other one is looked for
 _AT_ONCE = 50_000  # samples of a block whose true distances a thread looks for
-_SHORTEST, _LONGEST, _SKIPPED = (
-    6,
-    50,
-    8,
-)  # samples of a stretch that is passed over by heights, and looks without a try after one that failed
+_SHORTEST, _LONGEST = 6, 50  # samples of a stretch that is passed over by heights
+_SKIPPED = 8  # looks without such a try after one that failed
 _WORTH_BOUNDS = 2000  # samples of a way from which bounds by height are worth their finding
-_RARELY, _FEW_LOOKS = (
-    100,
-    4000,
-)  # samples between looks where none could find much; in long ways there are so many looks
+_RARELY = 100  # samples between looks, at most, where bounds by height show that none would find much
+_FEW_LOOKS = 4000  # of a long way, about, where they do
 _FIRST_LOOKS = 1000  # of a body, at most, that find how near it is about
 _DEEP = 20e-3  # m beneath the tip: what is deeper counts as if it were there
 _DEEPEST = 64  # intervals that wait at once: more than the samples of a block can make
