@@ -11,12 +11,15 @@ from typing import Any
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
+from planner.base.compiled import compare_options_quickly
+
 _compile = Dispatcher.compile
 _held: set[str] = set()  # locks of this process: a kernel that is compiled may ask for itself again
 
 
 def take_turns() -> None:
-    """From now on, of this process and all others that call this, one compiles a kernel at a time."""
+    """From now on, of this process and all others that call this, one compiles a kernel at a time, as quickly as can be."""
+    compare_options_quickly()
     Dispatcher.compile = _compile_in_turn
 
 

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from numba.core import errors
 from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler import Flags
+from numba.core.targetconfig import Option, TargetConfig
 
-from planner.base.compiled import call_at, njit, was_compiled
+from planner.base.compiled import call_at, compare_options_quickly, njit, was_compiled
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -145,3 +147,42 @@ def test_what_is_called_by_its_address_takes_arrays_in_order_alone() -> None:
 
     with pytest.raises(errors.TypingError, match="C's order"):
         call(1, np.zeros(8)[::2])
+
+
+def test_options_are_as_equal_as_numba_has_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read_all(one: TargetConfig, other: TargetConfig) -> bool:
+        return bool(one.values() == other.values())
+
+    def of(**changes: object) -> Flags:
+        flags = Flags()
+        for name, value in changes.items():
+            setattr(flags, name, value)
+        return flags
+
+    for name in ("__eq__", "__hash__"):  # as they are before, whatever other tests have done
+        monkeypatch.setattr(TargetConfig, name, getattr(TargetConfig, name))
+    by_default = {name: option.default for name, option in Flags.options.items()}
+    several = [of(), of(nrt=True), of(nrt=True), of(nrt=False), of(nrt=True, release_gil=True), of(error_model="numpy")]
+    several += [of(error_model=by_default["error_model"]), several[-1].copy(), of(boundscheck=True)]
+    numbas = hash(tuple(sorted(Flags.options)))
+    compare_options_quickly()
+    for one in several:
+        assert hash(one) == numbas and {one: 1}[one.copy()] == 1
+        for other in several:
+            assert (one == other) is read_all(one, other)
+    assert several[0] != 1 and several[0] is not None
+
+    class Own(TargetConfig):
+        nrt = Option(type=bool, default=False, doc="of another kind")
+
+    assert Own() == Own() and Own() != Flags()
+
+
+def test_another_release_of_numba_keeps_its_own_ways(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Renamed:
+        __slots__ = ("_set",)
+
+    monkeypatch.setattr("planner.base.compiled.TargetConfig", Renamed)
+    own = Renamed.__eq__
+    compare_options_quickly()
+    assert Renamed.__eq__ is own
