@@ -33,14 +33,14 @@ PUBLISHED = (
 
 
 @cache
-def solved(name: str) -> Plan:
-    return solve_alone(load_problem(name, ("process.start.heat_wait_s=0",)))
+def solved(name: str, strategy: str | None = None) -> Plan:
+    return solve_alone(load_problem(name, ("process.start.heat_wait_s=0",)), strategy)
 
 
 @cache
-def divided(name: str, *program: str) -> Plan:
-    """The plan with other settings of the program, which the motion does not know."""
-    return replace(solved(name), problem=load_problem(name, program))
+def divided(name: str, *program: str, strategy: str | None = "as_published") -> Plan:
+    """A plan with other settings of the program, which the motion does not know; by the strategy that is soonest done."""
+    return replace(solved(name, strategy), problem=load_problem(name, program))
 
 
 def segments(plan: Plan) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -99,11 +99,12 @@ def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str
 def test_no_length_hides_what_chord_and_angle_allow() -> None:
     """Where the curve is nearly straight, segments are longer than the usual cap, unless they are to be shorter."""
     free, usual, short = (
-        chords(divided("fibre_plane", *PUBLISHED[:2], f"program.longest_mm={longest}"))[0] for longest in (1000, 20, 6)
+        chords(divided("fibre_plane", *PUBLISHED[:2], f"program.longest_mm={longest}", strategy=None))[0]
+        for longest in (1000, 20, 6)
     )
     assert free.max() > 21e-3 and 20e-3 >= usual.max() > 15e-3
     assert short.max() <= 6e-3 and len(short) > 1.3 * len(free)
-    tight = chords(divided("fibre_plane", *PUBLISHED, "program.tangent_deg=4"))[2]
+    tight = chords(divided("fibre_plane", *PUBLISHED, "program.tangent_deg=4", strategy=None))[2]
     assert np.degrees(tight).max() <= 4.0 and len(tight) > 1.5 * len(free)
 
 
