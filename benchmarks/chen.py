@@ -1,6 +1,6 @@
 """The case of Chen et al., IEEE T-ASE 22:12102, 2025 (arXiv 2409.13448): IRB 2600, both axes of an IRBP A250 free.
 
-python -m benchmarks.chen freeform_25.txt
+python -m benchmarks.chen freeform_25.txt [--out published.csv]
 
 The file is one of their published tool paths (x y z nx ny nz, y up, normals along the nozzle); cell, ranges and cones are
 those of their public code. Their objective is the
@@ -22,6 +22,9 @@ from rich.table import Table
 from scipy.interpolate import make_interp_spline
 
 from benchmarks.command import parser_of, told
+from benchmarks.rows import Run, append_row
+from benchmarks.single import beadwise, measured
+from benchmarks.summary import FILES_ON
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED, Refusal
 from planner.cell.cell import build_cell
@@ -115,6 +118,12 @@ def row(problem: Problem, strategy: str, start: float | None) -> tuple[list[str]
     return cells, value
 
 
+def _conditions(speed: float, settings: Sequence[str]) -> str:
+    """What the column `set` has of a plan: as for other files, the cell and what is special to it."""
+    limits = "their limits" if speed == SPEEDS[0] else "the robots' limits"
+    return " ".join([f"{FILES_ON}chen {speed:g} mm/s, {limits}, cones as published", *settings])
+
+
 @told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
@@ -122,6 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("file", type=Path, help="one of their tool paths")
     parser.add_argument("--strategy", nargs="+", choices=STRATEGY_NAMES, default=["sqp"])
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--out", type=Path, metavar="FILE.csv", help="append a row of each plan to this file")
     options = parser.parse_args(arguments)
     table = Table(*COLUMNS, title="limits at 10 mm/s: theirs; at 40 mm/s: the robots' own", title_justify="left")
     for speed in SPEEDS:
@@ -131,6 +141,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             text = PROBLEM.format(file=options.file.resolve(), limits=limits, speed=speed)
             path.write_text(text, encoding="utf-8")
             problem = load_problem(path, options.set)
+            if options.out is not None:
+                for strategy in options.strategy:
+                    one = measured(Run(str(path), strategy, tuple(options.set), 0, beadwise()))
+                    append_row(
+                        options.out, one | {"problem": options.file.name, "set": _conditions(speed, options.set)}
+                    )
         start = None
         for strategy in (START, *(name for name in options.strategy if name != START)):
             try:

@@ -1,16 +1,20 @@
 """Programs in RAPID: what they ask of a controller, how near they are to their plans when they are played, and how long
 writing, reading and playing takes.
 
-python -m benchmarks.programs [PROBLEM ...] [--set layers.count=1]
+python -m benchmarks.programs [PROBLEM ...] [--set layers.count=1] [--out programs.csv]
+
+With --out both tables are written as one, a row for each program, which `benchmarks.report --programs` takes.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -18,7 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.command import told
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
+from benchmarks.rows import BETWEEN, line_of
+from benchmarks.usage import commit, machine
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, InputError
 from planner.export.in_step import laid_filament
 from planner.export.moves import FitFigures, Moves, deposits, fit_of, plan_moves, rests_of
 from planner.export.player.play import limited, play
@@ -54,6 +60,8 @@ PLAYED: tuple[str, ...] = (
     "slow moves",
 )
 PLAYED += ("write", "read", "play", "judge")
+DIFFERENCES = "differences"
+COLUMNS = (*ASKED, *PLAYED[1:], DIFFERENCES, "commit", "date", "machine")
 WINDOW = 1.0  # s
 Value = TypeVar("Value")
 
@@ -125,12 +133,40 @@ def rows(plan: Plan) -> Iterator[tuple[Plan, list[str], list[str]]]:
         yield part, cells, found.differences()
 
 
+def append_program(file: Path, cells: Sequence[str], differences: Sequence[str]) -> None:
+    """Append a program's row to a table of COLUMNS, which begins with its header; cells: of ASKED and PLAYED.
+
+    Raises InputError where the table has other columns.
+    """
+    if file.exists():
+        read_programs(file)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("a", encoding="utf-8") as stream:
+        if not stream.tell():
+            stream.write(line_of(COLUMNS))
+        now = time.strftime("%Y-%m-%dT%H:%M:%S")
+        stream.write(line_of([*cells, BETWEEN.join(differences), commit(), now, machine()]))
+
+
+def read_programs(file: Path) -> list[dict[str, str]]:
+    """The rows of a table that `append_program` wrote. Raises InputError for anything else."""
+    if not file.exists():
+        raise InputError("there is no such file", file=file, hint="python -m benchmarks.programs --out writes one")
+    with file.open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for line, row in enumerate(rows, 2):
+        if tuple(row) != COLUMNS or None in row.values():
+            raise InputError("is no row of programs", file=file, line=line)
+    return rows
+
+
 @told
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.programs", description=__doc__)
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help="default: all that ship")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--out", type=Path, metavar="FILE.csv", help="append a row of each program to this file")
     options = parser.parse_args(arguments)
     first = Table(*ASKED, title="What programs ask of a controller", title_justify="left")
     second = Table(*PLAYED, title="Programs as they are played, against their plans", title_justify="left")
@@ -139,8 +175,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         plan = solve(load_problem(name, options.set))
         for part, cells, differences in rows(plan):
             label = f"{name}, {part.cell.nozzle_name}" if len(plan.stretches) > 1 else name
-            first.add_row(label, *asked(part))
+            asks = asked(part)
+            first.add_row(label, *asks)
             second.add_row(label, *cells)
+            if options.out is not None:
+                append_program(options.out, [label, *asks, *cells], differences)
             for difference in differences:
                 Console(stderr=True).print(f"{label}: {difference}", markup=False)
                 code = EXIT_NOT_VERIFIED

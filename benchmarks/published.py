@@ -26,6 +26,7 @@ from benchmarks.command import parser_of
 from benchmarks.rows import BETWEEN, EMPTY, Row, Run, read_rows, row_without_plan
 from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
+from benchmarks.summary import FILES_ON
 from benchmarks.usage import commit, machine
 from benchmarks.waypoint_files import Look, Meaning, as_the_file_counts, files_in, look_at, place, shrunk, together
 from planner.base.command_line import exit_code
@@ -113,7 +114,7 @@ def jobs_of(options: argparse.Namespace) -> list[Job]:
     looks = looks_of(files) if options.layers else {}
     words = {"unit": meaning.unit, "up": meaning.up, "normals": meaning.normals}
     asked = " ".join([
-        f"cell={problem.name}", *(f"{key}={value}" for key, value in words.items() if value), *settings,
+        f"{FILES_ON}{problem.name}", *(f"{key}={value}" for key, value in words.items() if value), *settings,
         *(["layers"] if options.layers else []), *(["to fit"] if options.scale else []),
         *(["own beads"] if options.own_beads else []), *([f"lift={options.lift:g}"] if options.lift else []),
     ])  # fmt: skip

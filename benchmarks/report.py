@@ -1,24 +1,28 @@
 """Tables and figures of a table of runs: what was claimed and what was verified, how fast, and ours beside the peers.
 
 python -m benchmarks.report out/benchmarks/runs.csv
-python -m benchmarks.report runs.csv peers.csv --out benchmarks/results/2026-11-22
+python -m benchmarks.report runs.csv peers.csv published.csv --programs programs.csv --out benchmarks/results/2026-11-22
 
-Writes report.md and its figures. The same rows give the same report. Of several commits the newest row's counts.
+Writes report.md and its figures. The same rows give the same report. Of several commits the newest row's counts. Rows of
+`benchmarks.published` and `benchmarks.chen`, whose problems are files of others, are told together for each cell.
 """
 
 from __future__ import annotations
 
 import math
+import statistics
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.command import parser_of
 from benchmarks.figures import draw_figures
+from benchmarks.programs import ASKED, DIFFERENCES, PLAYED, read_programs
 from benchmarks.rows import Row, read_rows
 from benchmarks.summary import (
     AT_SPEED,
     BOUND,
+    FILES_ON,
     JERK,
     MARGIN,
     MEMORY,
@@ -35,10 +39,13 @@ from benchmarks.summary import (
     STEP,
     WHOLE,
     Measure,
+    OfFiles,
     Race,
     Result,
     Versus,
     against_peers,
+    files_of,
+    is_file,
     of_one_commit,
     results_of,
 )
@@ -85,10 +92,12 @@ OF_A_LOSS = (AT_SPEED, OVER_IDEAL, WHOLE, SIGMA, MARGIN, STEP)  # what a better 
 OF_PEERS = (PLANS, PATHS, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
 
 
-def report(rows: Sequence[Row], figures: Sequence[tuple[str, str]]) -> list[str]:
-    """The report's lines; figures: file and description of each."""
+def report(
+    rows: Sequence[Row], figures: Sequence[tuple[str, str]], programs: Sequence[Mapping[str, str]] = ()
+) -> list[str]:
+    """The report's lines; figures: file and description of each; programs: rows of `benchmarks.programs`."""
     chosen, others = of_one_commit(rows)
-    results = results_of(chosen)
+    results = results_of([row for row in chosen if not is_file(row)])
     ours = [result for result in results if result.ours and result.strategy in STRATEGY_NAMES]
     sets = _sets(results)
     lines = [
@@ -98,14 +107,16 @@ def report(rows: Sequence[Row], figures: Sequence[tuple[str, str]]) -> list[str]
         *(f"- settings {mark}: `{own}`" for own, mark in sets.items() if own),
     ]
     lines += ["", "## What these figures do not tell", "", *(f"- {text}" for text in LIMITATIONS)]
-    lines += ["", "## Claimed and verified", "", *_success(results)]
+    if results:
+        lines += ["", "## Claimed and verified", "", *_success(results)]
     if ours:
         lines += ["", *_verdicts(ours, sets)]
     lines += _peers(against_peers(results), sets)
     lines += [line for name, words in figures for line in ("", f"![{words}]({name})")]
-    lines += ["", "## By problem and strategy", "", _KEY]
-    lines += [line for measure, words in MATRICES if ours for line in ("", words, "", *_matrix(ours, measure, sets))]
-    return lines
+    if ours:
+        lines += ["", "## By problem and strategy", "", _KEY]
+        lines += [line for measure, words in MATRICES for line in ("", words, "", *_matrix(ours, measure, sets))]
+    return [*lines, *_files(files_of(chosen)), *_programs(programs, str(chosen[0]["commit"]))]
 
 
 _KEY = (
@@ -235,6 +246,55 @@ def _peers(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
     return lines
 
 
+def _files(groups: Sequence[OfFiles]) -> list[str]:
+    """What became of files that others published; nothing where none was planned."""
+    if not groups:
+        return []
+    header = (
+        "planned on",
+        "planner",
+        "files",
+        "verified",
+        "not all checks hold",
+        "no plan",
+        "at speed, median",
+        "lowest tenth",
+    )
+    header += (f"{OVER_IDEAL.name}, median", f"{SIGMA.name}, least")
+    lines = ["", "## Files that others published", "", "Shares, times and σ are those of verified plans.", ""]
+    lines += table(header, [_of_files(group) for group in groups])
+    for group in (group for group in groups if group.reasons):
+        lines += ["", f"- {group.on.removeprefix(FILES_ON)}, {group.strategy}, not verified:"]
+        lines += [f"    - {count} × {reason}" for reason, count in group.reasons]
+    return lines
+
+
+def _of_files(group: OfFiles) -> list[str]:
+    speeds, over, sigma = (group.values(measure) for measure in (AT_SPEED, OVER_IDEAL, SIGMA))
+    counts = (len(group.rows), len(group.verified), group.failed)
+    figures = (
+        AT_SPEED.form(statistics.median(speeds)) if speeds else NONE,
+        AT_SPEED.form(speeds[len(speeds) // 10]) if speeds else NONE,
+        OVER_IDEAL.form(statistics.median(over)) if over else NONE,
+        SIGMA.form(sigma[0]) if sigma else NONE,
+    )
+    left = counts[0] - counts[1] - counts[2]
+    return [group.on.removeprefix(FILES_ON), group.strategy, *(str(count) for count in (*counts, left)), *figures]
+
+
+def _programs(rows: Sequence[Mapping[str, str]], commit: str) -> list[str]:
+    """What programs in RAPID ask of a controller, and how near they are to their plans when they are played."""
+    if not rows:
+        return []
+    lines = ["", "## Programs in RAPID, read back and played", ""]
+    others = sorted({row["commit"] for row in rows} - {commit})
+    lines += [f"Of another commit: {', '.join(others)}.", ""] if others else []
+    for columns in (ASKED, PLAYED):
+        lines += [*table(columns, [[row[name] for name in columns] for row in rows]), ""]
+    told = [f"- {row[PLAYED[0]]}: {row[DIFFERENCES]}" for row in rows if row[DIFFERENCES]]
+    return [*lines, *(told or ["Read back and played, every program repeats its plan within its tolerances."])]
+
+
 def _where_we_lose(against: Sequence[Versus], sets: dict[str, str]) -> list[str]:
     """Where ours is behind: what a peer that is better in one measure has in the others, and what holds rates down."""
     rows = [
@@ -280,19 +340,19 @@ def _yes(value: bool) -> str:
     return "yes" if value else "**no**"
 
 
-def write_report(rows: Sequence[Row], folder: Path) -> None:
+def write_report(rows: Sequence[Row], folder: Path, programs: Sequence[Mapping[str, str]] = ()) -> None:
     """Write the report and its figures, all or none. Raises OutputError where the folder cannot be written."""
     with results_folder(folder, "benchmarks.report") as fresh:
-        figures = draw_figures(results_of(of_one_commit(rows)[0]), fresh)
-        (fresh / REPORT).write_text("\n".join(report(rows, figures)) + "\n", encoding="utf-8")
+        figures = draw_figures(results_of([row for row in of_one_commit(rows)[0] if not is_file(row)]), fresh)
+        (fresh / REPORT).write_text("\n".join(report(rows, figures, programs)) + "\n", encoding="utf-8")
 
 
-def _run(files: Sequence[Path], folder: Path | None) -> int:
+def _run(files: Sequence[Path], folder: Path | None, programs: Path | None) -> int:
     rows = [row for file in files for row in read_rows(file)]
     if not rows:
         raise InputError("has no rows", file=files[0], hint="python -m benchmarks.run --out writes some")
     target = folder or files[0].parent / f"{files[0].stem}_report"
-    write_report(rows, target)
+    write_report(rows, target, () if programs is None else read_programs(programs))
     print(target / REPORT)
     return EXIT_VERIFIED
 
@@ -302,8 +362,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = parser_of("report", __doc__)
     command.add_argument("files", nargs="+", type=Path, metavar="FILE.csv", help="tables of runs, peers' too")
     command.add_argument("--out", type=Path, metavar="FOLDER", help="default: beside the file, named after it")
+    command.add_argument("--programs", type=Path, metavar="FILE.csv", help="what benchmarks.programs --out wrote")
     options = command.parse_args(arguments)
-    return exit_code(lambda: _run(options.files, options.out), lambda text: print(text, file=sys.stderr))
+    return exit_code(
+        lambda: _run(options.files, options.out, options.programs), lambda text: print(text, file=sys.stderr)
+    )
 
 
 if __name__ == "__main__":

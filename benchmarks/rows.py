@@ -89,12 +89,14 @@ def make_row(run: Run, used: Usage | None = None, **values: Value) -> Row:
     """
     given: Row = {
         "problem": run.problem, "set": BETWEEN.join(run.settings), "strategy": run.label, "repeat": run.repeat,
-        "planner": run.planner, "found": False, "verified": False, "commit": usage.commit(),
+        "planner": run.planner, "found": False, "verified": False,
         "date": time.strftime("%Y-%m-%dT%H:%M:%S"), "machine": usage.machine(),
     }  # fmt: skip
     if used is not None:
         given |= {"cpu_s": used.cpu_s, "peak_mb": used.peak_mb}
     given |= values
+    if "commit" not in given:  # git looks at all sources for it
+        given["commit"] = usage.commit()
     if unknown := set(given) - set(COLUMNS):
         raise ValueError(f"no columns of the table: {', '.join(sorted(unknown))}")
     given["reason"] = " ".join(str(given.get("reason", EMPTY)).split())[:_LONGEST_REASON]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import statistics
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.rows import Row, key_of
+from benchmarks.rows import BETWEEN, Row, key_of
 
 OURS = "beadwise"
 CHOSEN = "sqp"  # the strategy of ours that is set beside the peers: the default one
@@ -15,6 +16,7 @@ PATHS_ALONE = ("resolve",)
 ALIKE = ("timing", "travel", "verify")  # our work for both sides
 COMMON = (*PATHS_ALONE, *ALIKE)  # stages of both sides: peers are given cell and toolpath
 DEGREES = 57.29577951308232
+FILES_ON = "cell="  # how the settings of rows begin whose problem is a file of others, see `benchmarks.published`
 
 
 @dataclass(frozen=True)
@@ -136,6 +138,49 @@ def of_one_commit(rows: Sequence[Row]) -> tuple[list[Row], list[Row]]:
     here = (newest["commit"], newest["machine"])
     ours = {key_of(row): row for row in rows if (row["commit"], row["machine"]) == here}
     return list(ours.values()), [row for row in rows if (row["commit"], row["machine"]) != here]
+
+
+def is_file(row: Row) -> bool:
+    """Whether a row is of a file that others published, on a cell of ours."""
+    return str(row["set"]).startswith(FILES_ON)
+
+
+@dataclass(frozen=True)
+class OfFiles:
+    """What became of files of others that were planned alike; reasons: of those that are not verified, with how many, the
+    most frequent first."""
+
+    on: str
+    strategy: str
+    rows: tuple[Row, ...]
+    reasons: tuple[tuple[str, int], ...]
+
+    @property
+    def verified(self) -> list[Row]:
+        """Those whose plan holds all checks."""
+        return [row for row in self.rows if row["verified"] is True]
+
+    @property
+    def failed(self) -> int:
+        """How many have a plan of which not all checks hold."""
+        return sum(row["found"] is True for row in self.rows) - len(self.verified)
+
+    def values(self, measure: Measure) -> list[float]:
+        """A measure of the verified ones, sorted; empty where any of them has none."""
+        known = [measure.of(row) for row in self.verified]
+        return [] if None in known else sorted(value for value in known if value is not None)
+
+
+def files_of(rows: Sequence[Row], longest: int = 110) -> list[OfFiles]:
+    """Rows of files by the cell and the settings they were planned with; reasons are cut to `longest` characters."""
+    groups: dict[tuple[str, str], list[Row]] = {}
+    for row in filter(is_file, rows):
+        groups.setdefault((str(row["set"]).partition(BETWEEN)[0], str(row["strategy"])), []).append(row)
+    found = []
+    for (on, strategy), group in groups.items():
+        bad = Counter(str(row["reason"])[:longest] for row in group if row["verified"] is not True)
+        found.append(OfFiles(on, strategy, tuple(group), tuple(bad.most_common())))
+    return found
 
 
 def results_of(rows: Sequence[Row]) -> list[Result]:

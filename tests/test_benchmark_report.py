@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks import report
+from benchmarks.programs import ASKED, COLUMNS, PLAYED, append_program, read_programs
 from benchmarks.rows import Row, Run, append_row, make_row, read_rows
-from benchmarks.summary import against_peers, of_one_commit, results_of
-from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED
+from benchmarks.summary import against_peers, files_of, of_one_commit, results_of
+from planner.base.errors import EXIT_INPUT, EXIT_VERIFIED, InputError
 
 GOLDEN = Path(__file__).parent / "golden" / "benchmark_report.md"
 LARGEST_PICTURE = 150_000  # bytes
@@ -106,3 +107,57 @@ def test_rows_come_back_as_they_were_written(tmp_path: Path) -> None:
     read = read_rows(tmp_path / "runs.csv")
     assert [row["waypoints"] for row in read] == [row["waypoints"] for row in table()]
     assert read[1]["waypoints_per_s"] == 1200.0 and read[1]["verified"] is True
+
+
+def files() -> list[Row]:
+    """Six files on one cell, of which four are verified, and one on another cell."""
+    on = ("cell=peer_cap to fit", "mm, y up")
+    shares = (0.9, 1.0, 0.95, 0.99)
+    return [
+        *(plan(Run(f"{k}.txt", "sqp", on), 900.0, 0.2 + 0.1 * k, share) for k, share in enumerate(shares)),
+        plan(Run("near.txt", "sqp", on), 900.0, 0.01, reason="singularity margin 0.01 (limit 0.05)"),
+        make_row(Run("far.txt", "sqp", on), reason="no plan: out of reach", **FIXED),
+        plan(Run("free.txt", "sqp", ("cell=chen 40 mm/s",)), 900.0, 0.3),
+    ]
+
+
+def test_files_of_others_are_told_together_and_are_no_problems() -> None:
+    on_cap, on_chen = files_of([*table(), *files()])
+    assert (len(on_cap.rows), len(on_cap.verified), on_cap.failed) == (6, 4, 1)
+    assert on_cap.reasons == (("singularity margin 0.01 (limit 0.05)", 1), ("no plan: out of reach", 1))
+    assert on_chen.on == "cell=chen 40 mm/s" and len(on_chen.verified) == 1
+    without, lines = report.report(table(), ()), report.report([*table(), *files()], ())
+    title = lines.index("## Files that others published")
+    own, of_others = len(of_one_commit(table())[0]), len(files())
+    assert lines[: title - 1] == [line.replace(f"{own} runs", f"{own + of_others} runs") for line in without]
+    assert "| peer_cap to fit | sqp | 6 | 4 | 1 | 1 | 97.0 % | 90.0 % | 1.073 | 0.200 |" in lines[title:]
+    assert "    - 1 × no plan: out of reach" in lines[title:]
+    alone = report.report(files(), ())
+    assert "## Claimed and verified" not in alone and "## By problem and strategy" not in alone
+
+
+def test_programs_come_back_and_into_the_report(tmp_path: Path) -> None:
+    file = tmp_path / "out" / "programs.csv"
+    cells = [f"{name}'s" for name in (*ASKED, *PLAYED[1:])]
+    append_program(file, ["cap", *cells[1:]], [])
+    append_program(file, ["wing, tA", *cells[1:]], ["path 1 mm off", "late"])
+    rows = read_programs(file)
+    assert [row["problem"] for row in rows] == ["cap", "wing, tA"] and tuple(rows[0]) == COLUMNS
+    lines = report.report(table(), (), rows)
+    first = lines.index("## Programs in RAPID, read back and played")
+    assert lines[first + 2].startswith("Of another commit: ") and lines[-1] == "- wing, tA: path 1 mm off; late"
+    assert sum(line.startswith("| cap |") for line in lines[first:]) == 2
+    same = [row | {"commit": str(FIXED["commit"]), "differences": ""} for row in rows]
+    lines = report.report(table(), (), same)
+    assert not any(line.startswith("Of another commit") for line in lines) and "every program repeats" in lines[-1]
+
+
+@pytest.mark.parametrize("text", ["problem,path\ncap,1\n", ",".join(COLUMNS) + "\ncap\n"])
+def test_a_table_of_something_else_holds_no_programs(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "programs.csv"
+    with pytest.raises(InputError, match="no such file"):
+        read_programs(file)
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="no row of programs"):
+        append_program(file, ["cap"], [])
+    assert file.read_text(encoding="utf-8") == text

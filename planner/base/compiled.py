@@ -199,13 +199,14 @@ def _changed(options: Any) -> dict[str, Any]:
 
 
 def _hash_of_options(options: Any) -> int:
-    return _hash_of_names(type(options))
+    kind: Any = type(options)
+    return _hash_of_names(kind)
 
 
 @cache
-def _hash_of_names(kind: type) -> int:
+def _hash_of_names(kind: Any) -> int:
     """numba's own: of the names of all options, so that what it has looked up before is still found."""
-    return hash(tuple(sorted(kind.options)))  # type: ignore[attr-defined]
+    return hash(tuple(sorted(kind.options)))
 
 
 # ----------------------------------------------------------------------------------------------------
