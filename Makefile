@@ -21,7 +21,7 @@ PIP_INSTALL := pip install --quiet --disable-pip-version-check
 solve: $(READY)
 	$(BIN)/python -m planner.solve $(PROBLEM)
 
-# SLICE=3/24 adds a part of the slow tests, as continuous integration does.
+# SLICE=3/32 adds a part of the slow tests, as continuous integration does.
 test: $(TESTS)
 	$(BIN)/python -m pytest $(PARALLEL) $(if $(SLICE),--slice $(SLICE))
 
