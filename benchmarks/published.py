@@ -16,7 +16,6 @@ import argparse
 import json
 import sys
 import tempfile
-from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from benchmarks.command import parser_of
 from benchmarks.rows import BETWEEN, EMPTY, Row, Run, read_rows, row_without_plan
 from benchmarks.run import fill, some_seconds
 from benchmarks.single import beadwise, run_apart
-from benchmarks.summary import FILES_ON
+from benchmarks.summary import FILES_ON, OfFiles
 from benchmarks.usage import commit, machine
 from benchmarks.waypoint_files import Look, Meaning, as_the_file_counts, files_in, look_at, place, shrunk, together
 from planner.base.command_line import exit_code
@@ -38,7 +37,6 @@ from planner.planning.options import add_set, add_spread, add_strategy
 from planner.problem import load_problem
 
 OUT = Path("out/benchmarks/published.csv")
-_LONGEST = 90  # characters of a reason in the summary
 
 
 @dataclass(frozen=True)
@@ -153,14 +151,10 @@ def left(jobs: Sequence[Job], rows: Sequence[Row], anywhere: bool) -> list[Job]:
 
 def summary(rows: Sequence[Row]) -> list[str]:
     """How many came to what, and the reasons of those without a verified plan, the most frequent first."""
-    verified = sum(row["verified"] is True for row in rows)
-    found = sum(row["found"] is True for row in rows)
+    files = OfFiles(EMPTY, EMPTY, tuple(rows))
     waypoints = sum(int(row["waypoints"]) for row in rows if row["waypoints"] != EMPTY)
-    reasons = Counter(str(row["reason"])[:_LONGEST] for row in rows if row["verified"] is not True)
-    head = (
-        f"{len(rows)} files: {verified} verified, {found - verified} planned but not verified, {len(rows) - found} not"
-    )
-    return [f"{head}; {waypoints} waypoints", *(f"  {count} x {reason}" for reason, count in reasons.most_common(10))]
+    head = f"{len(rows)} files: {len(files.verified)} verified, {files.failed} planned but not verified, {files.without_plan} not"
+    return [f"{head}; {waypoints} waypoints", *(f"  {count} x {reason}" for reason, count in files.reasons[:10])]
 
 
 def parser() -> argparse.ArgumentParser:

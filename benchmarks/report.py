@@ -89,6 +89,8 @@ MATRICES: tuple[tuple[Measure, str], ...] = (
     (MEMORY, "Memory, MB."),
 )
 OF_A_LOSS = (AT_SPEED, OVER_IDEAL, WHOLE, SIGMA, MARGIN, STEP)  # what a better measure is paid with, if with anything
+OF_FILES: tuple[str, ...] = ("planned on", "planner", "files", "verified", "not all checks hold", "no plan")
+OF_FILES += ("at speed, median", "lowest tenth", f"{OVER_IDEAL.name}, median", f"{SIGMA.name}, least")
 OF_PEERS = (PLANS, PATHS, MEMORY, SIGMA, STEP, MARGIN, OFF, AT_SPEED)
 
 
@@ -250,19 +252,8 @@ def _files(groups: Sequence[OfFiles]) -> list[str]:
     """What became of files that others published; nothing where none was planned."""
     if not groups:
         return []
-    header = (
-        "planned on",
-        "planner",
-        "files",
-        "verified",
-        "not all checks hold",
-        "no plan",
-        "at speed, median",
-        "lowest tenth",
-    )
-    header += (f"{OVER_IDEAL.name}, median", f"{SIGMA.name}, least")
     lines = ["", "## Files that others published", "", "Shares, times and σ are those of verified plans.", ""]
-    lines += table(header, [_of_files(group) for group in groups])
+    lines += table(OF_FILES, [_of_files(group) for group in groups])
     for group in (group for group in groups if group.reasons):
         lines += ["", f"- {group.on.removeprefix(FILES_ON)}, {group.strategy}, not verified:"]
         lines += [f"    - {count} × {reason}" for reason, count in group.reasons]
@@ -271,15 +262,14 @@ def _files(groups: Sequence[OfFiles]) -> list[str]:
 
 def _of_files(group: OfFiles) -> list[str]:
     speeds, over, sigma = (group.values(measure) for measure in (AT_SPEED, OVER_IDEAL, SIGMA))
-    counts = (len(group.rows), len(group.verified), group.failed)
+    counts = (len(group.rows), len(group.verified), group.failed, group.without_plan)
     figures = (
         AT_SPEED.form(statistics.median(speeds)) if speeds else NONE,
         AT_SPEED.form(speeds[len(speeds) // 10]) if speeds else NONE,
         OVER_IDEAL.form(statistics.median(over)) if over else NONE,
         SIGMA.form(sigma[0]) if sigma else NONE,
     )
-    left = counts[0] - counts[1] - counts[2]
-    return [group.on.removeprefix(FILES_ON), group.strategy, *(str(count) for count in (*counts, left)), *figures]
+    return [group.on.removeprefix(FILES_ON), group.strategy, *map(str, counts), *figures]
 
 
 def _programs(rows: Sequence[Mapping[str, str]], commit: str) -> list[str]:

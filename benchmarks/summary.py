@@ -16,6 +16,7 @@ PATHS_ALONE = ("resolve",)
 ALIKE = ("timing", "travel", "verify")  # our work for both sides
 COMMON = (*PATHS_ALONE, *ALIKE)  # stages of both sides: peers are given cell and toolpath
 DEGREES = 57.29577951308232
+LONGEST_REASON = 90  # characters of why a file has no verified plan
 FILES_ON = "cell="  # how the settings of rows begin whose problem is a file of others, see `benchmarks.published`
 
 
@@ -147,13 +148,11 @@ def is_file(row: Row) -> bool:
 
 @dataclass(frozen=True)
 class OfFiles:
-    """What became of files of others that were planned alike; reasons: of those that are not verified, with how many, the
-    most frequent first."""
+    """What became of files of others that were planned alike."""
 
     on: str
     strategy: str
     rows: tuple[Row, ...]
-    reasons: tuple[tuple[str, int], ...]
 
     @property
     def verified(self) -> list[Row]:
@@ -165,22 +164,29 @@ class OfFiles:
         """How many have a plan of which not all checks hold."""
         return sum(row["found"] is True for row in self.rows) - len(self.verified)
 
+    @property
+    def without_plan(self) -> int:
+        """How many have none."""
+        return len(self.rows) - len(self.verified) - self.failed
+
+    @property
+    def reasons(self) -> list[tuple[str, int]]:
+        """Why plans are not there, or not verified, cut where they are long, and of how many; the most frequent first."""
+        bad = (str(row["reason"])[:LONGEST_REASON] for row in self.rows if row["verified"] is not True)
+        return Counter(bad).most_common()
+
     def values(self, measure: Measure) -> list[float]:
         """A measure of the verified ones, sorted; empty where any of them has none."""
         known = [measure.of(row) for row in self.verified]
         return [] if None in known else sorted(value for value in known if value is not None)
 
 
-def files_of(rows: Sequence[Row], longest: int = 110) -> list[OfFiles]:
-    """Rows of files by the cell and the settings they were planned with; reasons are cut to `longest` characters."""
+def files_of(rows: Sequence[Row]) -> list[OfFiles]:
+    """Rows of files by the cell and the settings they were planned with."""
     groups: dict[tuple[str, str], list[Row]] = {}
     for row in filter(is_file, rows):
         groups.setdefault((str(row["set"]).partition(BETWEEN)[0], str(row["strategy"])), []).append(row)
-    found = []
-    for (on, strategy), group in groups.items():
-        bad = Counter(str(row["reason"])[:longest] for row in group if row["verified"] is not True)
-        found.append(OfFiles(on, strategy, tuple(group), tuple(bad.most_common())))
-    return found
+    return [OfFiles(*planned, tuple(group)) for planned, group in groups.items()]
 
 
 def results_of(rows: Sequence[Row]) -> list[Result]:

@@ -18,7 +18,7 @@ _held: set[str] = set()  # locks of this process: a kernel that is compiled may 
 
 
 def take_turns() -> None:
-    """From now on, of this process and all others that call this, one compiles a kernel at a time, as quickly as can be."""
+    """From now on, of this process and all others that call this, one compiles a kernel at a time."""
     compare_options_quickly()
     Dispatcher.compile = _compile_in_turn
 

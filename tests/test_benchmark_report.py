@@ -124,7 +124,7 @@ def files() -> list[Row]:
 def test_files_of_others_are_told_together_and_are_no_problems() -> None:
     on_cap, on_chen = files_of([*table(), *files()])
     assert (len(on_cap.rows), len(on_cap.verified), on_cap.failed) == (6, 4, 1)
-    assert on_cap.reasons == (("singularity margin 0.01 (limit 0.05)", 1), ("no plan: out of reach", 1))
+    assert on_cap.reasons == [("singularity margin 0.01 (limit 0.05)", 1), ("no plan: out of reach", 1)]
     assert on_chen.on == "cell=chen 40 mm/s" and len(on_chen.verified) == 1
     without, lines = report.report(table(), ()), report.report([*table(), *files()], ())
     title = lines.index("## Files that others published")
