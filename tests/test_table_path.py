@@ -228,6 +228,18 @@ def test_normals_are_smoothed_but_not_beyond_half_the_cone() -> None:
     assert np.degrees(off(smooth_normals(edge, s, cone), edge).max()) < 3.0 + 1e-6
 
 
+def test_smoothed_normals_turn_with_the_samples_round_a_corner() -> None:
+    """Round a sharp corner the tip goes slower from sample to sample, and the normal turns evenly: so it is to stay."""
+    u, steep = np.linspace(-5e-3, 5e-3, 201), np.radians(70.0)
+    tip = np.column_stack([np.cos(steep) * u, np.sin(steep) * np.hypot(u, 1e-4)])
+    s = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(tip, axis=0), axis=1)))
+    assert np.diff(s).min() < 0.5 * np.diff(s).max()
+    angle = tip[:, 0] / 5e-3
+    normals = np.column_stack([np.sin(angle), 0.0 * angle, np.cos(angle)])
+    jerk = np.linalg.norm(np.diff(smooth_normals(normals, s, np.radians(10.0)), n=3, axis=0), axis=1).max()
+    assert jerk < 10.0 * np.linalg.norm(np.diff(normals, n=3, axis=0), axis=1).max()
+
+
 def test_where_no_angles_keep_to_the_cone_the_nearest_are_taken() -> None:
     """A table that turns about the vertical alone cannot lay a steep ring down."""
     cell = two_axes()

@@ -81,25 +81,29 @@ def _transport(normals: Array, start: Array) -> Array:
 
 
 def smooth_normals(normals: Array, s: Array, cone: float) -> Array:
-    """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along them; none turns by more than half of `cone` [rad]."""
+    """Unit normals (n, 3) at arc lengths s (n) [m], smoothed along them; none turns by more than half of `cone` [rad].
+
+    Along the samples, that is: round a sharp corner, where samples draw together, the nozzle turns as slowly as the tip then
+    goes. One that turned on evenly there would ask the joints for many times the jerk of the tip.
+    """
     if not np.ptp(normals, axis=0).any():
         return normals  # of a level layer
-    length = float(s[-1] - s[0])
-    width = max(_SMOOTHING, _SMOOTHED_SAMPLES * float(np.median(np.diff(s))))
+    spacing = float(np.median(np.diff(s)))
+    length, width = spacing * (len(s) - 1), max(_SMOOTHING, _SMOOTHED_SAMPLES * spacing)
     m = max(int(np.ceil(_GRID * length / width)), 1) + 1
-    even, sigma = np.linspace(s[0], s[-1], m), width / (length / (m - 1))
+    at_samples, even, sigma = np.arange(len(s)) * spacing, np.linspace(0.0, length, m), width / (length / (m - 1))
 
     def along(values: Array) -> Array:
         """Values (n, k), smoothed; an end stays where it is, for what lies beyond it mirrors what lies before."""
-        at = np.stack([np.interp(even, s, column) for column in values.T], axis=1)
+        at = np.stack([np.interp(even, at_samples, column) for column in values.T], axis=1)
         at = np.concatenate([2.0 * at[:1] - at[:0:-1], at, 2.0 * at[-1:] - at[-2::-1]])
-        return np.asarray(CubicSpline(even, gaussian_filter1d(at, sigma, axis=0)[m - 1 : 2 * m - 1])(s))
+        return np.asarray(CubicSpline(even, gaussian_filter1d(at, sigma, axis=0)[m - 1 : 2 * m - 1])(at_samples))
 
     smooth = _unit(along(normals))
     share = np.minimum(1.0, _CONE_SHARE * cone / np.maximum(angles_between(smooth, normals), 1e-12))
     if share.min() < 1.0:
         # less of it near places that turn too far, and more again gradually
-        beside = 2 * int(np.ceil(2.0 * width / float(np.median(np.diff(s))))) + 1
+        beside = 2 * int(np.ceil(2.0 * width / spacing)) + 1
         share = np.minimum(
             share, np.clip(along(minimum_filter1d(share, beside, mode="nearest")[:, None])[:, 0], 0.0, 1.0)
         )
