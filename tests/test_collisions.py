@@ -15,11 +15,12 @@ from planner.base.errors import InputError
 from planner.cell.cell import Cell
 from planner.cell.solids import Body, packed, triangles_of
 from planner.collision.point_tree import solid_distance
-from planner.collision.scene import obstacles_of
+from planner.collision.print_body import print_body, standing
+from planner.collision.scene import HOLDER, PART, collision_bodies, obstacles_of
 from planner.plan import TRAVEL
 from planner.toolpath.bead import Bead, Toolpath
 from planner.verify.bodies import HEAD, CellBodies, CheckedBody, pairs
-from planner.verify.collision import check_start
+from planner.verify.collision import check_start, print_pairs, sweep
 
 NOZZLE = "nozzle clear of part and print"
 ARM = "arm clear of part and print"
@@ -252,11 +253,44 @@ def test_7_the_second_arm_and_what_is_printed_on_it(tmp_path: Path) -> None:
     problem, cell = scene(tmp_path, lines)
     for degrees, fails in ((125.0, True), (80.0, False)):
         bent = np.radians(degrees) * np.sin(np.linspace(0.0, np.pi, 400))
-        found = look(problem, cell, *wall_that_moves(0.15, np.column_stack([bent, np.zeros(400)])))
+        toolpath, moved = wall_that_moves(0.15, np.column_stack([bent, np.zeros(400)]))
+        found = look(problem, cell, toolpath, moved)
         assert found.failed == ({ARM} if fails else set())
+        obstacles, q = obstacles_of(problem, cell, toolpath), moved[-1].q
+        planned, which = obstacles.margins(q, np.full(len(q), float(len(toolpath.beads))), np.inf)
+        assert (planned.min() < 0.0) == fails
         if fails:
             worst = found.approaches[0]
             assert worst.a.startswith("holder link_4") and worst.b.startswith("bead")
+            body, part = obstacles.names(int(which[np.argmin(planned)]))
+            assert body.startswith("link_4") and part == PART
+            assert planned.min() == pytest.approx(worst.distance - worst.need, abs=1e-3)  # so deep, any point will do
+
+
+@pytest.mark.parametrize("tilted", [False, True], ids=["turned", "bent"])
+def test_7_what_the_second_arm_never_brings_near_needs_no_look(tmp_path: Path, tilted: bool) -> None:
+    """Joint 6 turns the wall about its own axis, far from all links; joint 5 brings it to the forearm."""
+    free, held = ("joint_5, joint_6", "") if tilted else ("joint_6", ", joint_5: 20")
+    lines = (
+        "  positioner:\n    robot: irb1200_09\n    base_mm: [1500, 0, 0]\n    turn_deg: 180\n"
+        f"    free: [{free}]\n    held_deg: {{joint_2: 40, joint_3: 10{held}}}\n"
+    )
+    problem, cell = scene(tmp_path, lines)
+    k = len(cell.holder)
+    toolpath, _ = wall_that_moves(0.15, np.zeros((2, k)))
+    obstacles, things = obstacles_of(problem, cell, toolpath), collision_bodies(cell)
+    table = obstacles.table
+    at_part = [things[body].whose for body, tree in table.look if tree == 0]
+    among = [{things[a].whose, things[b].whose} for a, b in table.pair]
+    assert (HOLDER in at_part) == tilted
+    body = print_body(toolpath, standing(cell))
+    checked = CellBodies.of(cell)
+    own = [pair for pair in print_pairs(checked, 5e-3, body) if checked.things[pair.a].kind == "holder"]
+    low, high = np.maximum(cell.limits.q_min, -np.pi)[-k:], np.minimum(cell.limits.q_max, np.pi)[-k:]
+    q = np.column_stack([np.tile(cell.home[:6], (500, 1)), np.random.default_rng(5).uniform(low, high, (500, k))])
+    swept = sweep(checked, own, q, body, np.full(500, float(len(toolpath.beads))))
+    assert own and ((swept.distance < 5e-3).any()) == tilted
+    assert tilted or {HOLDER} not in among
 
 
 def test_7_the_second_arm_and_the_first(tmp_path: Path) -> None:

@@ -85,6 +85,14 @@ def test_fibre_is_laid_on_the_true_surface_at_its_speed(name: str) -> None:
 
 
 @pytest.mark.slow
+def test_two_free_axes_of_the_second_arm_keep_the_part_clear_of_it() -> None:
+    """They bend the bowl towards the forearm that holds it."""
+    wrist = ("cell.positioner.free=[joint_5, joint_6]", "cell.positioner.held_deg={joint_2: 60, joint_3: -40}")
+    plan = solve_alone(load_problem("fibre_bowl", ("process.start.heat_wait_s=0", *wrist)), "sqp")
+    promises_kept(plan)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FIBRES)
 @pytest.mark.parametrize("program", [(), PUBLISHED, ("program.chord_mm=0.1", "program.tangent_deg=3")])
 def test_lines_of_the_program_keep_chord_and_angle(name: str, program: tuple[str, ...]) -> None:

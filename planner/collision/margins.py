@@ -442,13 +442,15 @@ def least_margins(table, q, now, enough, more, margin, which) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def lacking_at(table, q, lacking) -> None:
-    """Which pairs of bodies lack clearance at postures q (n, nj), into lacking (n, p)."""
-    room = workspace_for(table)
+def lacking_at(table, q, now, lacking) -> None:
+    """Which pairs, and then looks, lack clearance at postures q (n, nj) at a time of the print, into lacking (n, p + k)."""
+    room, p = workspace_for(table), len(table.pair)
     for i in range(len(q)):
         put(table, room, q, i)
-        for k in range(len(table.pair)):
+        for k in range(p):
             lacking[i, k] = over_pairs(table, room, k, k + 1, 0.0, YES)[1] >= 0
+        for k in range(len(table.look)):
+            lacking[i, p + k] = over_looks(table, room, k, k + 1, now, 0.0, YES, YES, YES)[1] >= 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -9,9 +9,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planner.base.arrays import Array, Ints
+from planner.base.arrays import Array, Flags, Ints
 from planner.base.errors import InputError
 from planner.base.processes import in_blocks
 from planner.cell.cell import Cell, rigid_inverse
@@ -65,7 +64,7 @@ ARM, HEAD, HOLDER, FIXTURE, CARRIED = range(5)
 
 @dataclass(frozen=True)
 class CollisionBody:
-    """A body, its pose in its frame's coordinates, and whose it is; link: of the arm, 0 for its base."""
+    """A body, its pose in its frame's coordinates, and whose it is; link: of its robot, 0 for the base."""
 
     body: Body
     frame: int
@@ -81,10 +80,13 @@ def collision_bodies(cell: Cell) -> list[CollisionBody]:
         out += [CollisionBody(each, frame, ARM, i) for each in body]
     out += [CollisionBody(_moved(body, cell.arm.T_last_tip), na, HEAD, na) for body in cell.head]
     if cell.holder_robot is not None:
-        for frame, body in _carried_by(cell.holder_robot, cell.holder, cell.T_world_holder_base, cell.held, na):
-            out += [CollisionBody(each, frame, HOLDER) for each in body]
+        links = _carried_by(cell.holder_robot, cell.holder, cell.T_world_holder_base, cell.held, na)
+        for i, (frame, body) in enumerate(links):
+            out += [CollisionBody(each, frame, HOLDER, i) for each in body]
     out += [CollisionBody(body, 0, FIXTURE) for body in cell.fixtures]
-    out += [CollisionBody(_moved(body, cell.holder.T_last_tip), na + nh if nh else 0, CARRIED) for body in cell.carried]
+    last = 0 if cell.holder_robot is None else cell.holder_robot.model.njoints - 1
+    part = na + nh if nh else 0
+    out += [CollisionBody(_moved(body, cell.holder.T_last_tip), part, CARRIED, last) for body in cell.carried]
     return [replace(thing, body=_filled(thing.body)) for thing in out]
 
 
@@ -122,14 +124,12 @@ def may_touch(a: CollisionBody, b: CollisionBody, last: int) -> bool:
     if a.frame == b.frame:
         return False
     whose = {a.whose, b.whose}
-    if whose == {ARM}:
+    if whose in ({ARM}, {HOLDER}):
         low, high = (a, b) if a.link < b.link else (b, a)
         return high.link - low.link + low.body.below > 1 and not in_touch(a.body, b.body)
     if whose == {ARM, HEAD}:
         return min(a.link, b.link) < last
-    if whose & {ARM, HEAD}:
-        return True
-    return FIXTURE in whose
+    return True
 
 
 def is_round(body: Body, T_frame_nozzle: Array) -> bool:
@@ -152,7 +152,11 @@ PART = "part or print"
 BLOCK = 1024  # postures along which what was far enough is remembered
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _SAME_MARGIN = 1e-4  # m: margins that differ by more are of different bodies
-_POSTURES = 64  # a pair of an arm's own bodies that is too near at all of so many belongs together
+_POSTURES = 64  # a pair of a robot's own bodies that is too near at all of so many belongs together
+_EVERYWHERE = (
+    1024  # postures of the holder, about, at which its own bodies are looked at: 0.003 rad from each with one axis
+)
+_OF_LOOKS = ("look", "keep", "head_on_part", "round_on_part")  # fields of the table with a row for each look
 _BUILT = 5e-3  # m: so near, however much is asked for; the default of collision.arm_mm
 
 
@@ -196,11 +200,18 @@ class Obstacles:
         """Less what is round about the nozzle's axis against part and print, which only tilt can change."""
         return self._looking(~self.table.round_on_part)
 
-    def _looking(self, kept: NDArray[np.bool_]) -> Obstacles:
-        fields = ("look", "keep", "head_on_part", "round_on_part")
-        return replace(
-            self, table=with_fields(self.table, **{name: getattr(self.table, name)[kept] for name in fields})
-        )
+    @cached_property
+    def but_arm(self) -> Obstacles:
+        """Only what no joint of the arm moves: what the holder's axes bring near to each other, whatever the arm does."""
+        table, na = self.table, int(self.table.arm[0])
+        still = (table.frame == 0) | (table.frame > na)
+        looks = still[table.look[:, 0]] & ((table.tree_frame == 0) | (table.tree_frame > na))[table.look[:, 1]]
+        kept = np.append(still[table.pair].all(axis=1), looks)
+        return replace(self, table=_only(table, np.flatnonzero(kept)))
+
+    def _looking(self, kept: Flags) -> Obstacles:
+        pairs = len(self.table.pair)
+        return replace(self, table=_only(self.table, np.append(np.arange(pairs), pairs + np.flatnonzero(kept))))
 
     def of(self, cell: Cell) -> Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
@@ -329,7 +340,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     look = [
         (k, 0)
         for k, thing in enumerate(solid)
-        if thing.whose == HEAD or (thing.whose in (ARM, FIXTURE) and thing.frame != part_frame)
+        if thing.whose == HEAD or (thing.whose != CARRIED and thing.frame != part_frame)
     ]
     clearance = [around.nozzle if solid[k].whose == HEAD else around.arm for k, _ in look]
     around = replace(around, meshes=_points_of([thing.body.solid for thing in meshes], around))
@@ -365,7 +376,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     farthest = np.maximum(np.abs(cell.limits.q_min), np.abs(cell.limits.q_max))
     trees_of = (PART, *(mesh.body.name for mesh in meshes))
     made = Obstacles(table, names, trees_of, around, tuple(farthest.tolist()))
-    return replace(made, table=_without_joined(cell, made.table, solid))
+    return replace(made, table=_less_what_needs_no_look(cell, made, solid, meshes))
 
 
 def _points_of(solids: Sequence[Solid], around: Around) -> tuple[tuple[Mesh, PointTree], ...]:
@@ -424,21 +435,75 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
     }
 
 
-def _without_joined(cell: Cell, table: Table, things: Sequence[CollisionBody]) -> Table:
-    """The table without pairs of the arm's own bodies that are too near whatever the posture: they are built that way. Those
-    that only cannot be as far apart as is asked for keep _BUILT."""
-    limits = cell.limits
-    low = np.where(limits.turns, np.maximum(limits.q_min, -np.pi), limits.q_min)
-    high = np.where(limits.turns, np.minimum(limits.q_max, np.pi), limits.q_max)
+def _less_what_needs_no_look(
+    cell: Cell, obstacles: Obstacles, solid: Sequence[CollisionBody], meshes: Sequence[CollisionBody]
+) -> Table:
+    """The table without pairs of one robot's own bodies that are too near whatever the posture, before the print: they are
+    built that way. Those that only cannot be as far apart as is asked for keep _BUILT. Part and print are the holder's own.
+    Nor with what the axes of the holder bring near to its own in no posture.
+    """
+    table, p = obstacles.table, len(obstacles.table.pair)
+    whose = [(solid[a].whose, solid[b].whose) for a, b in table.pair]
+    whose += [(solid[k].whose, meshes[t - 1].whose if t else CARRIED) for k, t in table.look]
+    of_holder = np.array([{a, b} <= {HOLDER, CARRIED} for a, b in whose], dtype=np.bool_)
+    of_arm = np.array([k < p and {a, b} <= {ARM, HEAD} for k, (a, b) in enumerate(whose)], dtype=np.bool_)
+    low, high = _within_a_turn(cell)
     q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
-    links = ARM, HEAD
-    own = np.array([things[a].whose in links and things[b].whose in links for a, b in table.pair], dtype=np.bool_)
-    lacking = np.zeros((_POSTURES, len(table.pair)), dtype=np.bool_)
-    lacking_at(table, q, lacking)
-    joined = own & lacking.all(axis=0)
-    if (table.needed[joined] > _BUILT).any():
-        table = with_fields(table, needed=np.where(joined, np.minimum(table.needed, _BUILT), table.needed))
-        lacking_at(table, q, lacking)
-        joined = own & lacking.all(axis=0)
-    kept = ~joined
-    return with_fields(table, pair=table.pair[kept], needed=table.needed[kept])
+    wanted, own = _wanted(table), of_arm | of_holder
+    built = own & _lacking(table, q, 0.0).all(axis=0)
+    if (wanted[built] > _BUILT).any():
+        table = _wanting(table, np.where(built, np.minimum(wanted, _BUILT), wanted))
+        built = own & _lacking(table, q, 0.0).all(axis=0)
+    kept = ~built
+    asked = np.flatnonzero(kept & of_holder)
+    if len(asked):
+        some = _only(table, asked)
+        q, around = _all_over(cell, low, high, obstacles.swing)
+        near = _lacking(_wanting(some, _wanted(some) + around), q, float(len(table.slack))).any(axis=0)
+        kept[asked[~near]] = False
+    return _only(table, np.flatnonzero(kept))
+
+
+def _wanted(table: Table) -> Array:
+    """The distances [m] that pairs, and then looks, keep."""
+    return np.concatenate([table.needed, table.keep[:, 0]])
+
+
+def _wanting(table: Table, wanted: Array) -> Table:
+    """The table with other distances [m] that pairs, and then looks, keep."""
+    p = len(table.pair)
+    return with_fields(table, needed=wanted[:p], keep=np.column_stack([wanted[p:], table.keep[:, 1], -wanted[p:]]))
+
+
+def _lacking(table: Table, q: Array, now: float) -> Flags:
+    """Which pairs, and then looks, lack clearance at postures q (n, nj) at a time of the print (n, p + k)."""
+    lacking = np.zeros((len(q), len(table.pair) + len(table.look)), dtype=np.bool_)
+    lacking_at(table, q, now, lacking)
+    return lacking
+
+
+def _only(table: Table, kept: Ints) -> Table:
+    """The table with some of its pairs and looks, which are counted after them."""
+    p = len(table.pair)
+    pairs, looks = kept[kept < p], kept[kept >= p] - p
+    there = {name: getattr(table, name)[looks] for name in _OF_LOOKS}
+    return with_fields(table, pair=table.pair[pairs], needed=table.needed[pairs], **there)
+
+
+def _within_a_turn(cell: Cell) -> tuple[Array, Array]:
+    """Ranges of all joints (nj), of those that turn farther one turn of them."""
+    limits = cell.limits
+    free = limits.turns & (limits.q_max - limits.q_min > 2.0 * np.pi)
+    return np.where(free, -np.pi, limits.q_min), np.where(free, np.pi, limits.q_max)
+
+
+def _all_over(cell: Cell, low: Array, high: Array, swing: Array) -> tuple[Array, float]:
+    """Postures (n, nj) all over the ranges of the holder's joints, and how far these move anything from any posture to the
+    nearest of them at most [m]."""
+    na, nh = len(cell.arm), len(cell.holder)
+    each = int(_EVERYWHERE ** (1.0 / nh))
+    step = (high - low)[na:] / each
+    places = [low[na + j] + step[j] * (np.arange(each) + 0.5) for j in range(nh)]
+    of_holder = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, nh)
+    q = np.hstack([np.tile(cell.home[:na], (len(of_holder), 1)), of_holder])
+    return q, float(0.5 * (swing[na:] @ step))

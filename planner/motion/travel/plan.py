@@ -45,6 +45,7 @@ _ROUNDING = 1e-6  # s that a travel lasts longer than it has to
 _LIMIT_ROUNDING = 1e-9  # of a limit
 _PLACES = 31  # along the normal, that the tip keeps to
 _LEAST = 1e-6  # m: a lower lift is none
+_HOLDER_STEP = 5e-3  # m that what a holder carries moves at most from one posture that is looked at to the next
 _ROUNDED = 1e-9  # m of clearance, for rounding
 # Position, velocity and acceleration at the end of three equal spells of jerk, for each jerk in turn (cf. h^3, h^2, h).
 _REACHED = np.array([[19.0 / 6.0, 7.0 / 6.0, 1.0 / 6.0], [2.5, 1.5, 0.5], [1.0, 1.0, 1.0]])
@@ -267,6 +268,8 @@ def quickest(task: TravelTask) -> Cubics | None:
     goes back into the queue, slowed down, unless a glance shows that it is not clear.
     """
     cell = task.cell
+    if _holder_is_barred(task):
+        return None
     free = Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
     number = itertools.count()
     queue: list[tuple[float, int, TravelWay, Caps, Built | None, int]] = []
@@ -303,6 +306,21 @@ def quickest(task: TravelTask) -> Cubics | None:
         if not clear:
             for other in way.instead:
                 push(max(bound, other.bound), other, free)
+
+
+def _holder_is_barred(task: TravelTask) -> bool:
+    """Whether the holder's one axis, on its way, brings what it carries too near to what the arm does not move: then no way
+    of the arm helps. More axes than one have ways round."""
+    na, start, end = len(task.cell.arm), task.ends.start.q, task.ends.end.q
+    if not task.obstacles.any or len(start) != na + 1:
+        return False
+    still = task.obstacles.but_arm
+    if not still.any:
+        return False
+    steps = 2 + int(abs(end[na] - start[na]) * still.swing[na] / _HOLDER_STEP)
+    q = np.tile(start, (steps, 1))
+    q[:, na] = np.linspace(start[na], end[na], steps)
+    return still.hit(q, task.now, task.margin) >= 0
 
 
 def _look(task: TravelTask, motion: Cubics) -> tuple[bool, float]:
