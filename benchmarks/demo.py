@@ -12,7 +12,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from planner.planning.pipeline import solve, write
+from planner.planning.files import write
+from planner.planning.pipeline import solve
 from planner.report.demo import PROBLEM, SHIPPED
 
 DT = 0.016  # s between samples: enough for a picture, and small in the package

@@ -29,7 +29,8 @@ from benchmarks.usage import Usage, cpu_seconds
 from planner.base.arrays import Array
 from planner.base.errors import EXIT_VERIFIED
 from planner.base.progress import STAGES, Stages
-from planner.planning.pipeline import solve, write_files
+from planner.planning.files import write_files
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
 from planner.problem.settings import STRATEGY_NAMES
 

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from planner.cell.cell import Cell
     from planner.plan import Plan
     from planner.planning.batch import Solved, solve_all
-    from planner.planning.pipeline import load, solve, write
+    from planner.planning.files import write
+    from planner.planning.pipeline import load, solve
     from planner.problem import Problem
     from planner.report import plots
     from planner.report.inline import show
@@ -64,7 +65,7 @@ _HOMES = {
     "show": "planner.report.inline",
     "solve": "planner.planning.pipeline",
     "solve_all": "planner.planning.batch",
-    "write": "planner.planning.pipeline",
+    "write": "planner.planning.files",
 }
 
 

@@ -19,7 +19,8 @@ from planner.export.tables import FIXED
 from planner.plan import Plan
 from planner.plan.plan import columns_of
 from planner.plan.seal import sealed
-from planner.planning.pipeline import load, solve, write
+from planner.planning.files import write
+from planner.planning.pipeline import load, solve
 from planner.problem import Problem
 from planner.resolve.strategies import STRATEGIES
 

@@ -30,7 +30,7 @@ from planner.export.languages import LANGUAGES
 from planner.export.rapid.writer import rapid_files
 from planner.plan import Plan
 from planner.plan.seal import changed_since
-from planner.planning.pipeline import write
+from planner.planning.files import write
 
 SEED = 20
 

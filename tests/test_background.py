@@ -20,7 +20,7 @@ from planner.collision.scene import NOTHING, obstacles_of
 from planner.plan import Plan
 from planner.plan.seal import sealed
 from planner.planning import pipeline as planning
-from planner.planning.pipeline import write_files
+from planner.planning.files import write_files
 from planner.resolve.strategies import STRATEGIES
 from planner.toolpath.task import tasks_of
 from planner.verify.verdict import Report, verify

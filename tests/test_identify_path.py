@@ -37,7 +37,8 @@ from planner.feedback.readings import counting, run_starts
 from planner.feedback.recordings import read_log
 from planner.plan import Plan
 from planner.plan.seal import sealed
-from planner.planning.pipeline import solve, write
+from planner.planning.files import write
+from planner.planning.pipeline import solve
 from tests.identify_fixtures import cell_of, table_text
 from tests.solved import small_plan, small_problem
 from tests.test_player import CELL, program_through

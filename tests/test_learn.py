@@ -69,7 +69,8 @@ from planner.motion.as_run import FADE, Corrections, displacements, read_correct
 from planner.plan import Check, Nearer, Plan, Trajectory
 from planner.plan.seal import changed_since, sealed
 from planner.planning.clearance import keeping
-from planner.planning.pipeline import as_it_is, solve
+from planner.planning.files import as_it_is
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.as_run import AsRunSpec
 from planner.verify.as_run import as_run, learned_shifts

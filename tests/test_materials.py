@@ -29,7 +29,7 @@ from planner.export.write import ProgramDiffers, write_robot_code
 from planner.motion.extrusion import feed_of_materials
 from planner.plan import Event, Plan
 from planner.plan.plan import materials_of, selected, used
-from planner.planning.pipeline import write, write_files
+from planner.planning.files import write, write_files
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem
 from planner.problem.layers import KINDS
@@ -468,7 +468,7 @@ def test_a_program_that_differs_leaves_the_report_and_a_failed_check(
     plan = small_plan()
     text = gcode(plan)
     monkeypatch.setattr("planner.export.extruder.write", lambda plan: {FILE: text.replace("G1 E", "G1 E1", 1)})
-    monkeypatch.setattr("planner.planning.pipeline.WORTH_A_FORK", 0)
+    monkeypatch.setattr("planner.planning.files.WORTH_A_FORK", 0)
     written = write_files(plan, tmp_path, second_process=second_process)
     assert not written.verified
     (check,) = (check for check in written.checks if not check.ok)

@@ -14,7 +14,8 @@ from planner.collision.scene import NOTHING
 from planner.planning import context
 from planner.planning.clearance import coming_nearer, leads_on, may_come_nearer
 from planner.planning.context import context_of
-from planner.planning.pipeline import load, solve, write
+from planner.planning.files import write
+from planner.planning.pipeline import load, solve
 from planner.problem import Problem
 from planner.resolve.drawn import passable
 from planner.resolve.joint_path import refuse_at

@@ -42,7 +42,7 @@ def test_a_case_is_a_problem_that_begins_well(kind: str, tmp_path: Path) -> None
     problem = load_problem(case.write(tmp_path))
     assert problem.name == case.name == f"{kind}_0"
     check_start(problem, build_cell(problem))
-    assert sum(len(bead.s) for bead in build_toolpath(problem).beads) > 20
+    assert build_toolpath(problem).waypoints > 20
 
 
 def test_values_stand_in_yaml_as_people_write_them() -> None:

@@ -27,7 +27,8 @@ from planner.motion.timing.timed_path import time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import plan_travels
 from planner.plan import Plan, Trajectory
-from planner.planning.pipeline import solve, write
+from planner.planning.files import write
+from planner.planning.pipeline import solve
 from planner.planning.short_runs import dips_in_a_run
 from planner.planning.solve_command import main
 from planner.problem import Problem, load_problem

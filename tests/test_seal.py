@@ -22,7 +22,8 @@ from planner.link.guided_motion import PERIOD, read_plan
 from planner.link.streaming import main, modules_in
 from planner.plan import Plan, Trajectory
 from planner.plan.seal import changed_since, digest_of, seal_of, sealed
-from planner.planning.pipeline import BOUNDS, as_it_is, solve, write
+from planner.planning.files import BOUNDS, as_it_is, write
+from planner.planning.pipeline import solve
 from planner.problem import load_problem
 
 Change = Callable[[Plan], Plan]

@@ -23,7 +23,7 @@ from planner.base.errors import InputError, OutputError
 from planner.base.shipped import ROBOTS
 from planner.plan.seal import changed_since, digest_of, sealed
 from planner.plan.stored import stored_parts
-from planner.planning.pipeline import as_it_is
+from planner.planning.files import as_it_is
 from planner.problem import shipped_problems
 from planner.toolpath.build import build_toolpath
 

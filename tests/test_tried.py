@@ -81,7 +81,8 @@ def test_what_is_not_tried_is_said_to_be_untried(tmp_path: Path) -> None:
     assert told == tuple(f"{hint} (not planned to the end)" for hint in many[MOST_PLANS:])
     one: Any = {"points": np.zeros((1, 3)), "height": np.array([0.5e-3]), "width": np.array([0.8e-3]), "round": False}
     large: Any = SimpleNamespace(
-        beads=[SimpleNamespace(s=np.zeros(MOST_WAYPOINTS + 1), normals=np.array([[0.0, 0.0, 1.0]]), **one)]
+        beads=[SimpleNamespace(s=np.zeros(MOST_WAYPOINTS + 1), normals=np.array([[0.0, 0.0, 1.0]]), **one)],
+        waypoints=MOST_WAYPOINTS + 1,
     )
     quick = problem_of(tmp_path, smooth="1")
     assert hints_that_hold(quick, large, (many[0], "turn"), Planner(lambda p: True)) == (

@@ -17,7 +17,7 @@ from solved import bed_plan, small_plan
 from planner.base.arrays import Array
 from planner.base.progress import STAGES
 from planner.plan import Plan
-from planner.planning.pipeline import write
+from planner.planning.files import write
 
 
 class Files:

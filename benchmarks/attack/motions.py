@@ -25,7 +25,7 @@ from planner.base.errors import InputError
 from planner.base.nearest import distance_to_polyline
 from planner.export.fit import angle, continuous, from_matrix
 from planner.plan import Plan, Trajectory
-from planner.planning.pipeline import as_it_is
+from planner.planning.files import as_it_is
 from planner.verify.verdict import verify
 
 # What is least changed of a column, of the order of what checks allow: rad, m, m/s, m^3/s, m^3, s.

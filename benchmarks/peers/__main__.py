@@ -61,7 +61,7 @@ def one_peer(
         return label | times(seconds, None) | {"reason": f"it says: {facts['said']}"}
     row = _in_process("judge", key, folder, limits)
     seconds |= {stage: float(row.pop(f"seconds_{stage}")) for stage in STAGES if f"seconds_{stage}" in row}
-    return label | times(seconds, sum(len(bead.s) for bead in ready.toolpath.beads)) | row
+    return label | times(seconds, ready.toolpath.waypoints) | row
 
 
 def _in_process(what: str, key: str, folder: Path, limits: tuple[float, float]) -> Row:

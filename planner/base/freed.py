@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
 
 def give_back() -> None:
@@ -15,3 +16,11 @@ def give_back() -> None:
     if sys.platform.startswith("linux"):
         with suppress(AttributeError, OSError):  # another library, or none that can be asked
             ctypes.CDLL(None).malloc_trim(0)
+
+
+@contextmanager
+def given_back(large: bool) -> Iterator[None]:
+    """Memory that a stage of a large print freed goes back to the system, lest it stand beside what the next one needs."""
+    yield
+    if large:
+        give_back()

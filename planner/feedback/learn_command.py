@@ -61,9 +61,10 @@ from planner.plan import Check, Plan
 from planner.plan.seal import sealed
 from planner.planning.clearance import as_near
 from planner.planning.context import check_unchanged
+from planner.planning.files import REPEATED, as_it_is, write_files
+from planner.planning.files import RESULTS_BY as PLANNED_BY
 from planner.planning.options import add_set, add_strategy
-from planner.planning.pipeline import REPEATED, as_it_is, solve, with_asked, write_files
-from planner.planning.pipeline import RESULTS_BY as PLANNED_BY
+from planner.planning.pipeline import solve, with_asked
 from planner.problem import load_problem
 from planner.problem.as_run import AsRunSpec
 from planner.problem.rewrite import absolute_overrides

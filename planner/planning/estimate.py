@@ -24,6 +24,8 @@ _BYTES, _WAYPOINT, _SAMPLE, _BALL, _AT_REST = 430e6, 3.3e3, 0.16e3, 0.6e3, 1.1e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it
+WORTH_A_FORK = 5_000  # waypoints from which work that stands alone (baseline, programs) is worth a copy of the process
+WORTH_HALVES = 40_000  # waypoints from which half of a stage is worth one: most stages use all cores by threads anyway
 # Groups of processes, as containers and jobs of a cluster are, of version 2 and 1: by the name of their controller
 # where their files stand, and which has the limit, a number of bytes, or a word where there is none.
 _GROUPS = {

@@ -44,7 +44,7 @@ def leaning(given: PlanningContext, refusal: Refusal, stages: Stages) -> Plannin
     refusal: of the print with the nozzle on the surface
     """
     toolpath, cones = given.toolpath, given.tasks[0].cones
-    large = sum(len(bead.s) for bead in toolpath.beads) > MOST_WAYPOINTS
+    large = toolpath.waypoints > MOST_WAYPOINTS
     if cones.tilt == 0.0 or cones.nozzle_gravity < np.pi or binds_table(given.cell, cones) or large:
         return None
     note = f"the nozzle leans within its cone, as an upright one has no way: {refusal}"

@@ -12,28 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable, kind_of
+from planner.base.arguments import as_index, as_list, as_number, as_one_of, as_path, check_callable
 from planner.base.arrays import Array
 from planner.base.compiled import was_compiled
 from planner.base.distribution import Spread
 from planner.base.errors import Blocked, InputError, Refusal, nearest_name
-from planner.base.freed import give_back
-from planner.base.processes import beside, in_background, in_halves, of_each, spare_core
+from planner.base.freed import give_back, given_back
+from planner.base.processes import beside, in_halves, of_each, spare_core
 from planner.base.progress import Stages
-from planner.base.results import results_folder
 from planner.base.versions import versions
 from planner.cell.cell import Cell, build_cell
 from planner.collision.print_body import PrintBody, print_body, standing
 from planner.collision.scene import NOTHING, Obstacles, obstacles_of
 from planner.export.languages import check_languages
-from planner.export.write import (
-    ProgramDiffers,
-    forecast_words,
-    write_part,
-    write_plan,
-    write_robot_code,
-    write_trajectory,
-)
 from planner.motion.as_run import asked_of, corrections_of
 from planner.motion.dips import find_dips
 from planner.motion.interlayer import contacts_within, with_rests
@@ -41,15 +32,15 @@ from planner.motion.timing.kernels import fastest
 from planner.motion.timing.timed_path import TimedPath, bound_time, time_path
 from planner.motion.trajectory import join
 from planner.motion.travel.plan import Travel, carried_travels, plan_travels
-from planner.plan import Check, Nearer, Plan, Trajectory
+from planner.plan import Nearer, Plan, Trajectory
 from planner.plan.robustness import Robustness, Tolerance, parse_tolerance
-from planner.plan.seal import INPUTS, changed_since, sealed
+from planner.plan.seal import sealed
 from planner.planning.advice import advise
 from planner.planning.candidates import DEFAULT, PlannedPaths, best_of_all
 from planner.planning.clearance import coming_nearer, lacks_clearance_only, leads_on, may_come_nearer
 from planner.planning.context import PlanningContext, context_of, with_way
 from planner.planning.distributed import sqp_over
-from planner.planning.estimate import TOLD_FROM, check_memory, estimate
+from planner.planning.estimate import TOLD_FROM, WORTH_A_FORK, WORTH_HALVES, check_memory, estimate
 from planner.planning.finer import ROUNDS, with_finer_samples, worst_off
 from planner.planning.joint_ends import nearer_to_ends, noted
 from planner.planning.leaning import leaning, with_leans
@@ -62,7 +53,6 @@ from planner.planning.upright import check_upright
 from planner.problem import Problem, load_problem
 from planner.problem.overrides import overrides_of, printed
 from planner.problem.waypoint_arrays import WaypointArrays
-from planner.report.html import write_report
 from planner.resolve.bound import MOST_CHOSEN, MOST_WAYPOINTS, bound_any_path
 from planner.resolve.joint_path import JointPath
 from planner.resolve.least_lean import check_cones
@@ -82,15 +72,9 @@ from planner.verify.reread.faces import faces_ahead
 from planner.verify.verdict import Report, verify
 
 BASELINE = "as_published"
-RESULTS_BY = "solve"  # whose files they are, in manifests
-REPEATED = "programs repeat the plan"  # the check of a plan with a program that, read back, does not
-AS_PLANNED = "as it was planned"  # the check of a plan whose inputs were changed since
-BOUNDS = ("bound_deposition_time_s", "bound_any_path_s", "bound_gap_fraction")  # that planning finds of its own motion
 # Beyond so many no other plan is made beside: beads, to time and to travel between which takes some 10 ms each; waypoints, of
 # which a second plan takes as much memory as the first, gigabytes.
 MOST_COMPARED_BEADS, MOST_COMPARED = 5_000, 800_000
-WORTH_A_FORK = 5_000  # waypoints from which work that stands alone (baseline, programs) is worth a copy of the process
-WORTH_HALVES = 40_000  # waypoints from which half of a stage is worth one: most stages use all cores by threads anyway
 
 
 def load(
@@ -250,7 +234,7 @@ def _found(
     """The whole print planned as can be, of which the rest from `first_bead` on is kept. Raises Refusal, with hints that were
     tried."""
     problem, toolpath, pieces = given.problem, given.toolpath, given.problem.process.split_beads
-    shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
+    shared = second_process and toolpath.waypoints >= WORTH_HALVES
 
     def print_of(given: PlanningContext, over: Spread | None = None) -> Planned:
         if pieces:
@@ -305,7 +289,7 @@ def try_out(problem: Problem, toolpath: Toolpath, strategy: str, second_process:
     toolpath: the problem's own, which does not depend on its cell. Raises Refusal where there is no plan at all.
     """
     given = context_of(problem, build_cell(problem), toolpath)
-    shared = second_process and _waypoints(toolpath) >= WORTH_HALVES
+    shared = second_process and toolpath.waypoints >= WORTH_HALVES
     if problem.process.split_beads:
         return _planned_in_pieces(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
     return _planned(strategy, given, DEFAULT_DT, Stages(), shared)[1].report
@@ -495,7 +479,7 @@ def _planned(
     best = own
     with stages.stage("compare"):
         if others:
-            best = best_of_all(given, own, _waypoints(given.toolpath), partial(along, stages=Stages()))
+            best = best_of_all(given, own, given.toolpath.waypoints, partial(along, stages=Stages()))
     if best is None:
         raise refusal or RuntimeError("no plan and no refusal")
     if best is not own or mapped is None:
@@ -542,7 +526,7 @@ def _planned_in_pieces(strategy: str, given: PlanningContext, dt: float, stages:
 def _paths_of(strategy: str, given: PlanningContext, stages: Stages, over: Spread | None = None) -> Sequence[JointPath]:
     """Paths of all beads by one strategy; the default's are those of the ladder, which are known, refined."""
     cell, tasks, settings, obstacles = given.cell, given.tasks, given.problem.resolve, given.obstacles
-    with stages.stage("resolve"), _given_back(_waypoints(given.toolpath) >= WORTH_HALVES):
+    with stages.stage("resolve"), given_back(given.toolpath.waypoints >= WORTH_HALVES):
         if strategy == "ladder" and given.start:
             return given.start
         if strategy != DEFAULT:
@@ -562,10 +546,10 @@ def _plan_along(
     problem, cell, toolpath = given.problem, given.cell, given.toolpath
     obstacles = NOTHING if strategy in UNAWARE else given.obstacles
     rest = paths[given.laid]
-    large = _waypoints(toolpath) >= WORTH_HALVES
-    with _given_back(large):
+    large = toolpath.waypoints >= WORTH_HALVES
+    with given_back(large):
         trajectory, travels = trajectory_of(problem, cell, toolpath, rest, obstacles, dt, second_process, stages)
-    with stages.stage("verify"), _given_back(large):
+    with stages.stage("verify"), given_back(large):
         report = verify(problem, cell, toolpath, trajectory, given.body)
     with stages.stage("dips"):
         moving = problem.process.hand_over == "motion"
@@ -577,7 +561,7 @@ def _plan_along(
 def _distance(given: PlanningContext, report: Report) -> dict[str, float]:
     """The bound of the deposition time over all choices, and how far a plan is from it, where it is found."""
     tasks = given.tasks[given.laid]
-    too_many = _waypoints(given.toolpath) > MOST_WAYPOINTS or len(given.cell.chosen) > MOST_CHOSEN
+    too_many = given.toolpath.waypoints > MOST_WAYPOINTS or len(given.cell.chosen) > MOST_CHOSEN
     if too_many or tasks[0].cones.tilt > 0.0:
         return {}
     bound = bound_any_path(given.cell, tasks)
@@ -660,18 +644,6 @@ def _elsewhere(
     return join(cell, toolpath, process, timed, whole, dt, touching)
 
 
-@contextmanager
-def _given_back(large: bool) -> Iterator[None]:
-    """Memory that a stage of a large print freed goes back to the system, lest it stand beside what the next one needs."""
-    yield
-    if large:
-        give_back()
-
-
-def _waypoints(toolpath: Toolpath) -> int:
-    return sum(len(bead.s) for bead in toolpath.beads)
-
-
 def _robustness(
     tolerance: Tolerance,
     strategy: str,
@@ -704,7 +676,7 @@ def _baseline_beside(
     if not wanted:
         yield dict
         return
-    worth_it = second_process and (_waypoints(given.toolpath) >= WORTH_A_FORK or not was_compiled(fastest))
+    worth_it = second_process and (given.toolpath.waypoints >= WORTH_A_FORK or not was_compiled(fastest))
     with beside(worth_it, _baseline, given, dt) as wait:
         yield wait
 
@@ -715,103 +687,3 @@ def _baseline(given: PlanningContext, dt: float) -> dict[str, dict[str, float]]:
         return {BASELINE: _report_of(BASELINE, given, dt).metrics}
     except Refusal:
         return {BASELINE: {}}
-
-
-def write(plan: Plan, folder: str | Path) -> Plan:
-    """Write a plan's files into a folder, as the command does, in place of an earlier plan's: all or none of them.
-
-    plan.json, trajectory.csv, report.html and report_part.stl of any plan, robot code only of a verified one. A plan
-    that was changed since it was verified is verified anew: what is written is judged as it is.
-    Returns the plan with the times that this took. Raises OutputError where the folder cannot be written.
-    """
-    as_one_of(plan, Plan, "plan", "what solve gives")
-    with results_folder(as_path(folder, "folder"), RESULTS_BY) as fresh:
-        return write_files(plan, fresh)
-
-
-def write_files(plan: Plan, folder: Path, stages: Stages | None = None, second_process: bool = False) -> Plan:
-    """Write a plan's files into a folder, robot code only if the plan is verified; returns it with all timings.
-
-    Robot code, which is read back and compared, takes as long as all else: a second process may write it meanwhile.
-    If a program differs from the plan, none is written, and a check of its own fails.
-    """
-    stages = stages or Stages()
-    with _given_back(_waypoints(plan.toolpath) >= WORTH_HALVES):
-        plan = as_it_is(plan, stages)
-    with stages.stage("export"):
-        try:
-            _write_all(plan, folder, second_process)
-        except ProgramDiffers as error:
-            differs = Check(REPEATED, 1.0, 0.0, "programs that do not", False, str(error))
-            plan = sealed(replace(plan, checks=(*plan.checks, differs)))
-            _write_all(plan, folder, second_process)
-    seconds = {**plan.timing_s, **stages.seconds}
-    plan = replace(plan, timing_s={**seconds, "total": sum(seconds.values())})
-    write_plan(plan, folder)
-    return plan
-
-
-def _write_all(plan: Plan, folder: Path, second_process: bool) -> None:
-    """Write tables and report, and of a verified plan the programs. Raises ProgramDiffers before any of these is written."""
-    if not plan.verified:
-        _write_tables(plan, folder, tuple)
-    elif second_process and _waypoints(plan.toolpath) >= WORTH_A_FORK and spare_core():
-        with in_background(write_robot_code, plan, folder) as wait:
-            _write_tables(plan, folder, lambda: _written(wait, folder))
-    else:
-        _write_tables(plan, folder, lambda: _written(lambda: write_robot_code(plan, folder), folder))
-
-
-def as_it_is(plan: Plan, stages: Stages | None = None) -> Plan:
-    """The plan with the verdict on what it holds now: its own if nothing was changed since, or one of a new verification.
-
-    What was verified against (problem, cell, toolpath) must be what was planned for: a check of its own fails otherwise,
-    and so does that on a tolerance, which only `solve` can judge.
-    Raises InputError for a motion whose arrays are of another type than they were.
-    """
-    changed = changed_since(plan)
-    if not changed:
-        return plan
-    _check_arrays(plan)
-    stages = stages or Stages()
-    with stages.stage("verify"):
-        report = verify(plan.problem, plan.cell, plan.toolpath, plan.trajectory)
-        asks = as_run(plan.problem, plan.cell, plan.toolpath, plan.trajectory, plan.asked)
-    other = [name for name in changed if name in INPUTS] + ([] if plan.headroom is None else ["tolerance"])
-    metrics = {name: value for name, value in plan.metrics.items() if name not in BOUNDS}
-    unlike = [Check(AS_PLANNED, float(len(other)), 0.0, "parts", False, f"changed since: {', '.join(other)}")]
-    return sealed(
-        replace(
-            plan,
-            checks=(*report.checks, *asks.checks, *(unlike if other else ())),
-            metrics=metrics | report.metrics | dict(asks.metrics),
-            series=report.series,
-            approaches=report.approaches,
-            view=cell_view(plan.cell),
-            dips=(),
-            advice=(),
-            roll_maps=(),
-        )
-    )
-
-
-def _check_arrays(plan: Plan) -> None:
-    """Raise InputError for an array of a motion that has another type or other columns than it had: with `deposit` as 0 and 1,
-    the rows that it picks would be the first two."""
-    for name, motion in (("trajectory", plan.trajectory), ("asked", plan.asked)):
-        if motion is not None and (odd := motion.odd_array(len(plan.joint_names))):
-            value = getattr(motion, odd)
-            what = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else kind_of(value)
-            raise InputError(f"is {what}", field=f"{name}.{odd}", hint="the type and columns that it had")
-
-
-def _written(programs: Callable[[], object], folder: Path) -> tuple[str, ...]:
-    """What controllers will make of programs, once these are written."""
-    programs()
-    return forecast_words(folder)
-
-
-def _write_tables(plan: Plan, folder: Path, forecast: Callable[[], Sequence[str]]) -> None:
-    write_trajectory(plan, folder)
-    write_part(plan, folder)
-    write_report(plan, folder / "report.html", forecast)

@@ -25,8 +25,9 @@ from planner.export.languages import chosen
 from planner.export.plan_json import file_as_given
 from planner.export.write import PLAN, forecast_words, program_notes, write_refusal
 from planner.plan import resumed_name
+from planner.planning.files import RESULTS_BY, write_files
 from planner.planning.options import options_of
-from planner.planning.pipeline import RESULTS_BY, solve, write_files
+from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.problem.describe import print_shipped
 from planner.report import page as libraries

@@ -47,7 +47,7 @@ def hints_that_hold(
     """
     own = (_by_base(hint) if _has_base(problem) else hint for hint in hints)
     hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *own, *_smoothing(problem, toolpath))
-    waypoints = sum(len(bead.s) for bead in toolpath.beads)
+    waypoints = toolpath.waypoints
     left, told, holds = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), [], False
     if best is not None and left:
         left -= 1

@@ -533,7 +533,7 @@ class BeadWaypoints:
 
 def waypoints_of(toolpath: Toolpath) -> BeadWaypoints:
     """Waypoints of all beads, evenly thinned."""
-    every = max(1, sum(len(bead.s) for bead in toolpath.beads) // _WAYPOINTS)
+    every = max(1, toolpath.waypoints // _WAYPOINTS)
     beads = toolpath.beads
     picks = [np.unique(np.append(np.arange(0, len(bead.s), every), len(bead.s) - 1)) for bead in beads]
     return BeadWaypoints(

@@ -13,7 +13,7 @@ from rich.console import Console
 from planner.base.command_line import Command, exit_code, one_of, yaml_file
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
 from planner.cell import robots_command
-from planner.planning.pipeline import write
+from planner.planning.files import write
 from planner.problem.settings import LANGUAGE_NAMES
 from planner.robots.adding import added
 from planner.robots.trial import Trial, trial

@@ -253,6 +253,11 @@ class Toolpath:
         return sum(bead.length for bead in self.beads)
 
     @property
+    def waypoints(self) -> int:
+        """Number of waypoints of all beads."""
+        return sum(len(bead.s) for bead in self.beads)
+
+    @property
     def layers(self) -> int:
         """Number of layers."""
         return 1 + max(bead.layer for bead in self.beads)

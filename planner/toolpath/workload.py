@@ -39,7 +39,7 @@ class Workload:
         return cls(
             beads=len(toolpath.beads),
             layers=toolpath.layers,
-            waypoints=sum(len(bead.s) for bead in toolpath.beads),
+            waypoints=toolpath.waypoints,
             length=toolpath.length,
             balls=round(sum(_balls(bead) for bead in toolpath.beads)),
         )

@@ -133,7 +133,7 @@ def _first_layer(job: Job) -> tuple[Problem, int] | None:
 
 
 def _waypoints(problem: Problem) -> int:
-    return sum(len(bead.s) for bead in build_toolpath(problem).beads)
+    return build_toolpath(problem).waypoints
 
 
 def _whole(problem: Problem, strategy: str, folder: Path, say: Say, behind: int) -> None:
