@@ -268,9 +268,9 @@ def test_an_estimate_in_words() -> None:
     assert model.Estimate(600.0, 1.2e9).words == "about 10 min and 1.2 GB on two free cores"
     small, large = (estimate(Workload(n, n, 100 * n, 0.1 * n, 10 * n), 0.04, 0.004) for n in (1, 1000))
     assert large.seconds > small.seconds and large.bytes > small.bytes
-    resting = estimate(Workload(1, 1, 100, 0.1, 10), 0.04, 0.004, 3600.0)  # took 53 s and 1.06 GB more
-    assert resting.seconds - small.seconds == pytest.approx(53.0, rel=0.2)
-    assert resting.bytes - small.bytes == pytest.approx(1.06e9, rel=0.2)
+    resting = estimate(Workload(1, 1, 100, 0.1, 10), 0.04, 0.004, 3600.0)  # took 41 s and 1.8 GB more
+    assert resting.seconds - small.seconds == pytest.approx(41.0, rel=0.25)
+    assert resting.bytes - small.bytes == pytest.approx(1.8e9, rel=0.2)
 
 
 def test_rests_of_a_print_are_foreseen(drawing_problem: Problem, toolpath: Toolpath) -> None:

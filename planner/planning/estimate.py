@@ -18,9 +18,9 @@ from planner.problem import Problem
 from planner.toolpath.workload import Workload, fewer
 
 # seconds: what a run takes in any case, for each waypoint, sample and bead, and for each ball that stands for the print
-_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 1.2, 6.8e-5, 5.3e-5, 3.2e-2, 1.7e-5
+_SECONDS, _PER_WAYPOINT, _PER_SAMPLE, _PER_BEAD, _PER_BALL = 0.8, 4.6e-5, 3.6e-5, 2.2e-2, 1.15e-5
 # bytes: the same; most of what a sample on a bead holds is counted with its waypoints, that of one at rest by itself
-_BYTES, _WAYPOINT, _SAMPLE, _BALL, _AT_REST = 430e6, 3.3e3, 0.16e3, 0.6e3, 1.1e3
+_BYTES, _WAYPOINT, _SAMPLE, _BALL, _AT_REST = 430e6, 3.3e3, 0.16e3, 0.6e3, 2.0e3
 _TRAVEL = 0.4  # s of the print between two beads
 _AROUND = 5.0  # s of it from home and back
 TOLD_FROM = 20.0  # s: who waits so long wants to know it
