@@ -153,9 +153,7 @@ BLOCK = 1024  # postures along which what was far enough is remembered
 _FAR = 0.2  # m: greater margins are not told apart along a motion
 _SAME_MARGIN = 1e-4  # m: margins that differ by more are of different bodies
 _POSTURES = 64  # a pair of a robot's own bodies that is too near at all of so many belongs together
-_EVERYWHERE = (
-    1024  # postures of the holder, about, at which its own bodies are looked at: 0.003 rad from each with one axis
-)
+_EVERYWHERE, _FINEST = 1024, 128  # postures of the holder at which its own bodies are looked at, at most; of one axis
 _OF_LOOKS = ("look", "keep", "head_on_part", "round_on_part")  # fields of the table with a row for each look
 _BUILT = 5e-3  # m: so near, however much is asked for; the default of collision.arm_mm
 
@@ -449,12 +447,18 @@ def _less_what_needs_no_look(
     of_arm = np.array([k < p and {a, b} <= {ARM, HEAD} for k, (a, b) in enumerate(whose)], dtype=np.bool_)
     low, high = _within_a_turn(cell)
     q = np.random.default_rng(0).uniform(low, high, (_POSTURES, len(low)))
-    wanted, own = _wanted(table), of_arm | of_holder
-    built = own & _lacking(table, q, 0.0).all(axis=0)
-    if (wanted[built] > _BUILT).any():
-        table = _wanting(table, np.where(built, np.minimum(wanted, _BUILT), wanted))
-        built = own & _lacking(table, q, 0.0).all(axis=0)
-    kept = ~built
+    own = np.flatnonzero(of_arm | of_holder)
+
+    def built(table: Table) -> Ints:
+        return own[_lacking(_only(table, own), q, 0.0).all(axis=0)]
+
+    wanted, joined = _wanted(table), built(table)
+    if (wanted[joined] > _BUILT).any():
+        wanted[joined] = np.minimum(wanted[joined], _BUILT)
+        table = _wanting(table, wanted)
+        joined = built(table)
+    kept = np.ones(len(wanted), dtype=np.bool_)
+    kept[joined] = False
     asked = np.flatnonzero(kept & of_holder)
     if len(asked):
         some = _only(table, asked)
@@ -501,7 +505,7 @@ def _all_over(cell: Cell, low: Array, high: Array, swing: Array) -> tuple[Array,
     """Postures (n, nj) all over the ranges of the holder's joints, and how far these move anything from any posture to the
     nearest of them at most [m]."""
     na, nh = len(cell.arm), len(cell.holder)
-    each = int(_EVERYWHERE ** (1.0 / nh))
+    each = min(int(_EVERYWHERE ** (1.0 / nh)), _FINEST)
     step = (high - low)[na:] / each
     places = [low[na + j] + step[j] * (np.arange(each) + 0.5) for j in range(nh)]
     of_holder = np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, nh)
