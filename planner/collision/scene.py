@@ -374,7 +374,7 @@ def _assembled(cell: Cell, around: Around) -> Obstacles:
     farthest = np.maximum(np.abs(cell.limits.q_min), np.abs(cell.limits.q_max))
     trees_of = (PART, *(mesh.body.name for mesh in meshes))
     made = Obstacles(table, names, trees_of, around, tuple(farthest.tolist()))
-    return replace(made, table=_less_what_needs_no_look(cell, made, solid, meshes))
+    return replace(made, table=_without_needless_pairs(cell, made, solid, meshes))
 
 
 def _points_of(solids: Sequence[Solid], around: Around) -> tuple[tuple[Mesh, PointTree], ...]:
@@ -433,12 +433,13 @@ def _joined(trees: Sequence[PointTree]) -> dict[str, Any]:
     }
 
 
-def _less_what_needs_no_look(
+def _without_needless_pairs(
     cell: Cell, obstacles: Obstacles, solid: Sequence[CollisionBody], meshes: Sequence[CollisionBody]
 ) -> Table:
-    """The table without pairs of one robot's own bodies that are too near whatever the posture, before the print: they are
-    built that way. Those that only cannot be as far apart as is asked for keep _BUILT. Part and print are the holder's own.
-    Nor with what the axes of the holder bring near to its own in no posture.
+    """The table without pairs of one robot's own bodies that need no look; part and print count as the holder's own.
+
+    Those are pairs that are too near in every posture before the print, since they are built that way, and pairs of the
+    holder that none of its postures brings near. Pairs that only cannot be as far apart as is asked for keep _BUILT.
     """
     table, p = obstacles.table, len(obstacles.table.pair)
     whose = [(solid[a].whose, solid[b].whose) for a, b in table.pair]
