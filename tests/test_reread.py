@@ -552,6 +552,19 @@ def test_waypoints_that_are_written_twice_each(tmp_path: Path) -> None:
     assert LEFT in {check.name for check in findings.checks} and not failed(findings)
 
 
+def test_a_crumb_between_two_paths_weighs_no_more_than_it_is_long(tmp_path: Path) -> None:
+    """Two waypoints lie alone, 0.05 mm apart and farther from both paths than those's steps are long."""
+    along = [*range(60), 65, 65.05, *range(71, 131)]
+    (tmp_path / "path.txt").write_text("\n".join(f"{x} 0 1 0 0 1" for x in along))
+    (tmp_path / "p.yaml").write_text(BASE + "layers: {source: {waypoints: path.txt}}\n")
+    problem = load_problem(tmp_path / "p.yaml")
+    toolpath = build_toolpath(problem)
+    assert len(toolpath.beads) == 2 and any("left out 1 path shorter" in note for note in toolpath.notes)
+    findings = found(problem, toolpath)
+    assert LEFT in {check.name for check in findings.checks} and not failed(findings)
+    assert LEFT in failed(found(problem, toolpath, list(toolpath.beads[:1])))
+
+
 SQUARE = [(10, 0), (10, 10), (0, 10), (0, 0)]
 
 

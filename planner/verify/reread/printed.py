@@ -226,7 +226,8 @@ def _on_the_points(judged: Judged, places: Places) -> Iterator[Check]:
     if found.bend > 0.0:  # only the waypoints themselves are sure to be passed
         dots, which = found.start, np.arange(len(length))
     weight = (length / np.bincount(which))[which]
-    if found.bend > 0.0:  # a waypoint stands for no more than a usual step, however far the next one is
+    if found.bend > 0.0:  # a waypoint stands for the shorter of its two steps: one may be a way to the next path
+        weight = np.minimum(weight, np.append(weight[:1], weight[:-1]))
         weight = np.minimum(weight, float(np.median(length)))
     wanted, most = found.needed[which], may_be_left(judged, layers.source.crumbs)
     if isinstance(layers, GcodeLayersSpec) and layers.count is not None:
