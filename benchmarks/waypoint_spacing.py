@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Ints
 from planner.base.geometry import arc_lengths, subdivided
+from planner.problem.layers import WaypointsSpec
 from planner.toolpath.waypoints.reader import SPLIT
 
 _TOGETHER = 2  # waypoints: no more of them are a crumb, where steps are uneven
@@ -26,7 +27,7 @@ _USUAL = {"side": (5.0, 1500.0), "step": (0.02, 25.0), "beside": (0.1, 20.0), "a
 @dataclass(frozen=True)
 class Spacing:
     """Usual distances in the file's unit: of waypoints along the path, of passes beside each other, and of layers; NaN where
-    there is none. split: a step longer than this begins a new bead; None: the reader's own rule leaves none alone."""
+    there is none. split: a step longer than this begins a new bead; None: the reader's own rule leaves next to none alone."""
 
     step: float
     beside: float
@@ -73,25 +74,29 @@ def _neighbours(points: Array, normals: Array) -> tuple[float, float]:
 
 
 def _split(steps: Array) -> float | None:
-    """Where steps are so uneven that the reader's rule would leave waypoints alone: the least step that leaves none alone,
-    nor two."""
-    if len(steps) < 2 or _fewest_together(steps, SPLIT * float(np.median(steps))) > 1:
+    """Where steps are so uneven that the reader's rule would leave more waypoints alone than it leaves out: the least step that
+    leaves none alone, nor two."""
+    if len(steps) < 2:
+        return None
+    usual = float(np.median(steps))
+    crumbs = int((_together(steps, SPLIT * usual) <= _TOGETHER).sum())
+    printed = float(steps[steps <= SPLIT * usual].sum())
+    if crumbs * usual <= WaypointsSpec.model_fields["crumbs"].default * printed:
         return None
     choices = np.unique(steps)
     low, high = 0, len(choices) - 1  # at the longest nothing is split
     while low < high:
         middle = (low + high) // 2
-        if _fewest_together(steps, float(choices[middle])) > _TOGETHER:
+        if _together(steps, float(choices[middle])).min() > _TOGETHER:
             high = middle
         else:
             low = middle + 1
     return float(choices[high])
 
 
-def _fewest_together(steps: Array, split: float) -> int:
-    """How many waypoints the shortest part of a path has, if longer steps than this were none of it."""
-    ends = np.flatnonzero(np.concatenate([[True], steps > split, [True]]))
-    return int(np.diff(ends).min())
+def _together(steps: Array, split: float) -> Ints:
+    """How many waypoints each part of a path has, if longer steps than this were none of it."""
+    return np.diff(np.flatnonzero(np.concatenate([[True], steps > split, [True]])))
 
 
 def unit_of(side: float, spacing: Spacing) -> str:
