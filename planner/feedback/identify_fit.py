@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.sparse import csr_array
 
 from planner.base.arrays import Array, Flags, ReadOnlyArrays
 from planner.feedback.identify_match import MatchedLog
@@ -408,27 +409,32 @@ def _solve(
         ]
         return np.concatenate([*parts, (x[:n] - start) / VAGUE])
 
-    def slopes(x: Array) -> Array:
-        out = np.zeros((count + n, len(x)))
-        here = residuals(x)
-        out[count:, :n] = np.eye(n) / VAGUE
+    # a move's samples depend on its own speed, on what all moves share, and on its own instant
+    columns = [[own, *range(levels, n), n + k] for k, own in enumerate(level)]
+    width = n - levels + 2
+    indices = np.append(np.repeat(columns, np.diff(begins), axis=0), np.arange(n))
+    rows = np.append(width * np.arange(count), width * count + np.arange(n + 1))
+
+    def slopes(x: Array) -> csr_array:
+        out, here = np.empty((count, width)), residuals(x)
         for k, (move, own) in enumerate(zip(moves, level, strict=True)):
             part = slice(begins[k], begins[k + 1])
-            # of the speeds a move has only its own
-            for i in (own, *range(levels, n)):
+            for column, i in enumerate(columns[k][:-1]):
                 step = x[:n].copy()
                 step[i] += STEP
-                out[part, i] = (_off(model, step, levels, move, own, x[n + k]) / noise - here[part]) / STEP
+                out[part, column] = (_off(model, step, levels, move, own, x[n + k]) / noise - here[part]) / STEP
             later = _off(model, x[:n], levels, move, own, x[n + k] + INSTANT) / noise
-            out[part, n + k] = (later - here[part]) / INSTANT
-        return out
+            out[part, -1] = (later - here[part]) / INSTANT
+        return csr_array((np.append(out, np.full(n, 1.0 / VAGUE)), indices, rows), shape=(count + n, len(x)))
 
     found = least_squares(
         residuals, np.append(start, instants), slopes, x_scale="jac", max_nfev=MOST_STEPS, ftol=fine, xtol=fine
     )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1)) * _repeated(found.fun[:count])
-    return _Solved(model, found.x[:n], found.x[n:], _errors(found.jac, scale)[:n], squares, count)
+    return _Solved(
+        model, found.x[:n], found.x[n:], _errors((found.jac.T @ found.jac).toarray(), scale)[:n], squares, count
+    )
 
 
 def _repeated(residuals: Array) -> float:
@@ -439,11 +445,11 @@ def _repeated(residuals: Array) -> float:
     return (1.0 + alike) / (1.0 - alike)
 
 
-def _errors(jacobian: Array, scale: float) -> Array:
-    """Standard errors of parameters (k) from the derivatives (m, k) of residuals that have a variance."""
-    norms = np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300)
-    _, sizes, directions = np.linalg.svd(jacobian / norms, full_matrices=False)
-    out: Array = np.sqrt(scale) * np.linalg.norm(directions / np.maximum(sizes, 1e-12)[:, None], axis=0) / norms
+def _errors(squares: Array, scale: float) -> Array:
+    """Standard errors of parameters (k) from J^T J (k, k), where J has the derivatives of residuals that have a variance."""
+    norms = np.maximum(np.sqrt(squares.diagonal()), 1e-300)
+    sizes, directions = np.linalg.eigh(squares / np.outer(norms, norms))
+    out: Array = np.sqrt(scale) * np.linalg.norm(directions / np.sqrt(np.maximum(sizes, 1e-24)), axis=1) / norms
     return out
 
 
@@ -607,4 +613,4 @@ def _solve_one(
     )
     left = found.fun[: len(move.time)]
     scale = max(1.0, float(left @ left) / max(len(left) - 4, 1))
-    return limits(found.x), _errors(found.jac, scale * _repeated(left))[:3], scale
+    return limits(found.x), _errors(found.jac.T @ found.jac, scale * _repeated(left))[:3], scale
