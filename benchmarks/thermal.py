@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from planner.base.command_line import one_of
+from planner.base.errors import Refusal
 from planner.collision.print_body import print_body, standing
 from planner.collision.scene import obstacles_of
 from planner.plan import Plan
@@ -110,9 +111,13 @@ def row(name: str) -> list[str]:
     window = [round(share * as_it_is.ages[1], 1) for share in (LEAST, case.most)]
     key = f"process.interlayer_time={{least_s: {window[0]}, most_s: {window[1]}}}"
     problem = load_problem(name, (*case.changes, key))
-    waiting, ordered = with_waits(plain, problem), outcome(solve(problem, baseline=False))
     cells = [name, str(plain.layers), f"{window[0]} to {window[1]}", f"{as_it_is.time:.0f}", as_it_is.ages_words]
-    for each in (waiting, ordered):
+    for made in (lambda: with_waits(plain, problem), lambda: outcome(solve(problem, baseline=False))):
+        try:
+            each = made()
+        except Refusal as refusal:
+            cells += ["–", "–", f"no plan: {refusal}"]
+            continue
         cells += [f"{each.time:.0f} (+{each.time - as_it_is.time:.0f})", each.ages_words, each.verdict]
     return cells
 
