@@ -11,7 +11,7 @@ import pytest
 from planner.plan import Check
 from planner.planning import pipeline
 from planner.planning.candidates import DEFAULT
-from planner.planning.short_runs import TIP_CHECK, dips_in_a_run
+from planner.planning.short_runs import PRESSED_CHECK, TIP_CHECK, dips_in_a_run
 from planner.problem import load_problem
 
 LAID = np.array([False, True, True])
@@ -33,16 +33,26 @@ GOOD, IN_A_RUN, ON_A_BEAD = (
     check(TIP_CHECK, -1.0, False, 1),
 )
 OTHER = check("axis on the normal", 1.0, False, 0)
+PRESSED, PRESSED_ON_A_BEAD = check(PRESSED_CHECK, 0.737, False, 0), check(PRESSED_CHECK, 0.737, False, 2)
+NEAR = check("nozzle clear of part and print", -0.367, False, 0)
+DIPS, PRESSES, ENTERS = (
+    "the tip is 0.027 mm in the part (t = 2.000 s, travel)",
+    "the nozzle presses 0.74 of a bead's height into the print (t = 2.000 s, travel)",
+    "the nozzle is 0.37 mm in part or print (t = 2.000 s, travel)",
+)
 
 
 @pytest.mark.parametrize(
-    ("checks", "said"), [((IN_A_RUN,), True), ((ON_A_BEAD,), False), ((IN_A_RUN, OTHER), False), ((GOOD,), False)]
-)
-def test_only_what_short_runs_may_mend_is_told(checks: tuple[Check, ...], said: bool) -> None:
+    ("checks", "said"),
+    [
+        ((IN_A_RUN,), DIPS), ((PRESSED, NEAR), PRESSES), ((NEAR,), ENTERS), ((IN_A_RUN, PRESSED, GOOD), DIPS),
+        ((ON_A_BEAD,), ""), ((IN_A_RUN, OTHER), ""), ((GOOD,), ""), ((PRESSED_ON_A_BEAD, NEAR), ""),
+    ],
+)  # fmt: skip
+def test_only_what_short_runs_may_mend_is_told(checks: tuple[Check, ...], said: str) -> None:
     _, plan, _ = planned(*checks)
     told = dips_in_a_run(plan.trajectory, plan.report)
-    assert ("the tip is 0.027 mm in the part (t = 2.000 s, travel)" in told) is said
-    assert bool(told) is said
+    assert told == (said and f"with their usual length {said}")
 
 
 @pytest.mark.parametrize(("mine", "second", "taken"), [(False, GOOD, 1), (False, IN_A_RUN, 0), (True, GOOD, 0)])

@@ -1,7 +1,8 @@
 """Run-ins and run-outs as short as may be, where a bead can be laid but not run into, or out of, at their usual length.
 
-A wall beside a bead's end, or a posture that the arm does not have beyond it, would refuse the whole print. The nozzle is at
-speed some tenths of a millimetre later then. A user's own `process.run_in_mm` is never shortened.
+A wall beside a bead's end, or a posture that the arm does not have beyond it, would refuse the whole print; a bead beside it
+would be pressed into. The nozzle is at speed some tenths of a millimetre later then. A user's own `process.run_in_mm` is never
+shortened.
 """
 
 from __future__ import annotations
@@ -12,13 +13,20 @@ from dataclasses import replace
 from planner.base.errors import Refusal
 from planner.base.progress import Stages
 from planner.plan import Trajectory
+from planner.planning.clearance import NOZZLE_CHECK
 from planner.planning.context import PlanningContext, with_way
 from planner.problem import Problem
 from planner.verify.verdict import Report
 
 MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
 RUNS = ("run-in", "run-out")
-TIP_CHECK = "nozzle tip outside the part"
+# Checks that a run may fail where it passes over a bead beside it, and what to say of each.
+TIP_CHECK, PRESSED_CHECK = "nozzle tip outside the part", "print pressed by the nozzle"
+RUN_CHECKS = {
+    TIP_CHECK: "the tip is {:.2g} mm in the part",
+    PRESSED_CHECK: "the nozzle presses {:.2g} of a bead's height into the print",
+    NOZZLE_CHECK: "the nozzle is {:.2g} mm in part or print",
+}
 
 
 def with_short_runs(given: PlanningContext, refusal: Refusal, stages: Stages) -> PlanningContext | None:
@@ -58,12 +66,12 @@ def all_short(given: PlanningContext, because: str) -> PlanningContext:
 
 
 def dips_in_a_run(trajectory: Trajectory, report: Report) -> str:
-    """What to say of a plan whose only fault is that the tip is in the part where nothing is laid, as where a run-in passes
-    over a bead beside it; nothing of others."""
+    """What to say of a plan whose only fault is that nozzle or tip are in part or print where nothing is laid, as where a
+    run-in passes over a bead beside it; nothing of others."""
     wrong = [check for check in report.checks if not check.ok]
-    if {check.name for check in wrong} != {TIP_CHECK} or trajectory.deposit[wrong[0].sample]:
+    if not wrong or any(check.name not in RUN_CHECKS or trajectory.deposit[check.sample] for check in wrong):
         return ""
-    return f"with their usual length the tip is {-wrong[0].worst:.2g} mm in the part ({wrong[0].where})"
+    return f"with their usual length {RUN_CHECKS[wrong[0].name].format(abs(wrong[0].worst))} ({wrong[0].where})"
 
 
 def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], note: str) -> PlanningContext:
