@@ -34,18 +34,18 @@ GOOD, IN_A_RUN, ON_A_BEAD = (
 )
 OTHER = check("axis on the normal", 1.0, False, 0)
 PRESSED, PRESSED_ON_A_BEAD = check(PRESSED_CHECK, 0.737, False, 0), check(PRESSED_CHECK, 0.737, False, 2)
-NEAR = check("nozzle clear of part and print", -0.367, False, 0)
-DIPS, PRESSES, ENTERS = (
+NEAR = check("nozzle clear of part and print", 1.2, False, 0)
+DIPS, PRESSES, TOO_NEAR = (
     "the tip is 0.027 mm in the part (t = 2.000 s, travel)",
     "the nozzle presses 0.74 of a bead's height into the print (t = 2.000 s, travel)",
-    "the nozzle is 0.37 mm in part or print (t = 2.000 s, travel)",
+    "the nozzle is 1.2 mm from part or print (t = 2.000 s, travel)",
 )
 
 
 @pytest.mark.parametrize(
     ("checks", "said"),
     [
-        ((IN_A_RUN,), DIPS), ((PRESSED, NEAR), PRESSES), ((NEAR,), ENTERS), ((IN_A_RUN, PRESSED, GOOD), DIPS),
+        ((IN_A_RUN,), DIPS), ((PRESSED, NEAR), PRESSES), ((NEAR,), TOO_NEAR), ((IN_A_RUN, PRESSED, GOOD), DIPS),
         ((ON_A_BEAD,), ""), ((IN_A_RUN, OTHER), ""), ((GOOD,), ""), ((PRESSED_ON_A_BEAD, NEAR), ""),
     ],
 )  # fmt: skip

@@ -553,7 +553,7 @@ def test_waypoints_that_are_written_twice_each(tmp_path: Path) -> None:
 
 
 def test_a_crumb_between_two_paths_weighs_no_more_than_it_is_long(tmp_path: Path) -> None:
-    """Two waypoints lie alone, 0.05 mm apart and farther from both paths than those's steps are long."""
+    """Two waypoints 0.05 mm apart, farther from the paths before and after them than a usual step."""
     along = [*range(60), 65, 65.05, *range(71, 131)]
     (tmp_path / "path.txt").write_text("\n".join(f"{x} 0 1 0 0 1" for x in along))
     (tmp_path / "p.yaml").write_text(BASE + "layers: {source: {waypoints: path.txt}}\n")

@@ -432,9 +432,8 @@ def _solve(
     )
     squares = float((found.fun[:count] ** 2).sum())
     scale = max(1.0, squares / max(count - len(found.x), 1)) * _repeated(found.fun[:count])
-    return _Solved(
-        model, found.x[:n], found.x[n:], _errors((found.jac.T @ found.jac).toarray(), scale)[:n], squares, count
-    )
+    errors = _errors((found.jac.T @ found.jac).toarray(), scale)
+    return _Solved(model, found.x[:n], found.x[n:], errors[:n], squares, count)
 
 
 def _repeated(residuals: Array) -> float:

@@ -20,12 +20,12 @@ from planner.verify.verdict import Report
 
 MOST_ENDS = 3  # that are shortened one by one, as searches find them; then all are
 RUNS = ("run-in", "run-out")
-# Checks that a run may fail where it passes over a bead beside it, and what to say of each.
+# Checks that a run may fail where it passes over a bead beside it, with the sign and the words in which to say by how much.
 TIP_CHECK, PRESSED_CHECK = "nozzle tip outside the part", "print pressed by the nozzle"
 RUN_CHECKS = {
-    TIP_CHECK: "the tip is {:.2g} mm in the part",
-    PRESSED_CHECK: "the nozzle presses {:.2g} of a bead's height into the print",
-    NOZZLE_CHECK: "the nozzle is {:.2g} mm in part or print",
+    TIP_CHECK: (-1.0, "the tip is {:.2g} mm in the part"),
+    PRESSED_CHECK: (1.0, "the nozzle presses {:.2g} of a bead's height into the print"),
+    NOZZLE_CHECK: (1.0, "the nozzle is {:.2g} mm from part or print"),
 }
 
 
@@ -66,12 +66,13 @@ def all_short(given: PlanningContext, because: str) -> PlanningContext:
 
 
 def dips_in_a_run(trajectory: Trajectory, report: Report) -> str:
-    """What to say of a plan whose only fault is that nozzle or tip are in part or print where nothing is laid, as where a
-    run-in passes over a bead beside it; nothing of others."""
+    """What to say of a plan whose only fault is that the nozzle or its tip comes too near to part or print where nothing is
+    laid, as where a run-in passes over a bead beside it; nothing of others."""
     wrong = [check for check in report.checks if not check.ok]
     if not wrong or any(check.name not in RUN_CHECKS or trajectory.deposit[check.sample] for check in wrong):
         return ""
-    return f"with their usual length {RUN_CHECKS[wrong[0].name].format(abs(wrong[0].worst))} ({wrong[0].where})"
+    sign, words = RUN_CHECKS[wrong[0].name]
+    return f"with their usual length {words.format(sign * wrong[0].worst)} ({wrong[0].where})"
 
 
 def _shortened(given: PlanningContext, short: Mapping[int, tuple[bool, bool]], note: str) -> PlanningContext:
