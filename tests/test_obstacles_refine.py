@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -18,9 +19,9 @@ from planner.collision.print_body import TipRoom
 from planner.collision.scene import NOTHING, Around, Obstacles, _assembled, obstacles_of
 from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
-from planner.motion.travel import detours, plan
+from planner.motion.travel import detours, plan, ways
 from planner.motion.travel.clearance import travel_clearance
-from planner.motion.travel.detours import around
+from planner.motion.travel.detours import FreeSpace, around, shorter
 from planner.motion.travel.plan import TravelTask, no_way, plan_travels, quickest
 from planner.motion.travel.ways import Ends, bounds_of
 from planner.problem import Problem, load_problem
@@ -303,30 +304,66 @@ def test_a_refusal_of_travel_names_the_bodies(
 def test_ways_round_are_tried_until_one_is_clear(
     problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each shortened, then as it was found, then from higher up: what was looked at coarsely may graze something."""
+    """Each shortened, then with more room, then as it was found, then from higher up: what was looked at coarsely may graze."""
     _, task = beside_a_wall(problem, bare, toolpath, timed)
     whole = [task.ends.start.q + share * (task.ends.end.q - task.ends.start.q) for share in (0.3, 0.5, 0.7)]
-    monkeypatch.setattr(detours._FreeSpace, "clear", lambda *_: True)
+    monkeypatch.setattr(FreeSpace, "clear", lambda *_: True)
     monkeypatch.setattr(detours, "_connect", lambda *_: whole)
-    monkeypatch.setattr(detours, "_shortened", lambda space, way: way[::2])
-    ways = list(around(task.cell, task.ends, task.room, task.obstacles, 0.0, -1e-4))
-    assert [len(way) for way in ways] == 3 * [2, 3]
-    looks = iter([False, True])
+    monkeypatch.setattr(detours, "shorter", lambda space, way: way[::2])
+    found = list(around(task.space, task.ends))
+    assert [len(way) for way in found] == 3 * [2, 2, 3]
+    looks = iter([False, False, True])
     monkeypatch.setattr(plan, "_ways", lambda *_: iter(()))
     monkeypatch.setattr(plan, "_look", lambda *_: (next(looks), 0.0))
+    monkeypatch.setattr(plan, "cut_short", lambda task, vias, motion: motion)
     motion = quickest(task)
     assert motion is not None
     assert np.abs(motion.joints(motion.times) - whole[1]).max(axis=1).min() < 1e-9
+
+
+def test_detours_are_cut_short_where_that_is_clear(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
+) -> None:
+    wall, task = beside_a_wall(problem, bare, toolpath, timed)
+    space = task.space
+    (vias,) = itertools.islice(around(space, task.ends), 1)
+    rng = np.random.default_rng(4)
+    apart = [np.linspace(a, b, 3)[:-1] for a, b in itertools.pairwise(vias)]
+    crooked = [q + rng.normal(scale=0.03, size=q.shape) for q in np.vstack(apart)[1:]]
+    crooked = [vias[0], *crooked, vias[-1]]
+    short = shorter(space, crooked)
+    assert np.array_equal(short[0], vias[0]) and np.array_equal(short[-1], vias[-1])
+    before, after = (space.seconds(np.array(way)).sum() for way in (crooked, short))
+    assert after < 0.7 * before
+    way = np.concatenate([np.linspace(a, b, 60) for a, b in itertools.pairwise(short)])
+    assert least(task.cell, wall, way[::4]) > problem.collision.nozzle - 5e-3
+    assert all(np.array_equal(a, b) for a, b in zip(short, shorter(space, crooked), strict=True))
+
+
+def test_a_way_by_rests_is_cut_short_and_kept_where_it_cannot_be(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, task = beside_a_wall(problem, bare, toolpath, timed)
+    (vias,) = itertools.islice(around(task.space, task.ends), 1)
+    aside = vias[0].copy()
+    aside[0] -= 0.5
+    far = [vias[0], aside, *vias]
+    resting = ways.resting_at(task.cell, task.ends, far, task.speed, plan.free_caps(task.cell))
+    assert resting is not None
+    short = plan.cut_short(task, far, resting.motion)
+    assert short.duration < resting.motion.duration - 0.5
+    assert plan.within_limits(task.cell, short) and task.hit(short) < 0
+    monkeypatch.setattr(plan, "_look", lambda *_: (False, 0.0))
+    assert plan.cut_short(task, far, resting.motion) is resting.motion
 
 
 def test_a_search_finds_a_way_round_a_wall(
     problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
 ) -> None:
     wall, task = beside_a_wall(problem, bare, toolpath, timed)
-    cell, ends, space, obstacles = task.cell, task.ends, task.room, task.obstacles
+    cell, ends = task.cell, task.ends
     start, end = ends.start.q, ends.end.q
-    vias = next(around(cell, ends, space, obstacles, 0.0, -1e-4))
-    again = next(around(cell, ends, space, obstacles, 0.0, -1e-4))
+    vias, again = (next(around(task.space, ends)) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(vias, again, strict=True))
     assert len(vias) > 2
     way = np.concatenate(

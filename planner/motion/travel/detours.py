@@ -11,15 +11,16 @@ The random numbers are the same each time.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
-from planner.base.arrays import Array
+from planner.base.arrays import Array, Flags
 from planner.cell.cell import Cell
 from planner.collision.scene import Obstacles
 from planner.motion.cubics import Cubics, chain
@@ -45,7 +46,12 @@ _NEAR = 1.005  # of the time that the limits ask for: near enough
 _LIFTS = (1.0, 4.0, 16.0)  # of the least lift, from which it starts, in turn
 _DRAWN = 1500  # postures, at most
 _STEP = 0.25  # m that anything moves at most along one branch of a tree
-_SHORTCUTS = 200
+_SHORTCUTS = 300  # tried,
+_ALL = 0.5  # so many of them for all joints
+_WORTH = 0.02  # s that one must save
+_STOP = 0.15  # s that a rest costs, about
+_ROOM = 2e-3  # m of clearance more, where what is shortened turns out to pass too close by
+_LOOKS = 8  # at the tip along a straight move, for its speed
 _COARSE = 5.0 * SWEPT  # m of a step at which branches are looked at; the way itself is looked at finely
 
 
@@ -197,15 +203,21 @@ def _spline(times: Array, q: Array) -> Cubics:
 
 
 @dataclass(frozen=True)
-class _FreeSpace:
+class FreeSpace:
+    """Where a travel may be: clear of part and obstacles, when the print has come so far, with a margin; the tip no faster
+    than `speed` [m/s]."""
+
     cell: Cell
     room: TravelClearance
+    speed: float
     obstacles: Obstacles
     now: float
     margin: float
-    swing: Array
-    low: Array
-    high: Array
+
+    @property
+    def swing(self) -> Array:
+        """How far anything moves for each radian of the joints (nj) [m]."""
+        return self.obstacles.swing
 
     def clear(self, a: Array, b: Array) -> bool:
         """Whether the straight move between two postures (nj) is clear of part and obstacles."""
@@ -219,6 +231,15 @@ class _FreeSpace:
         """The posture a step from a towards b, or b if it is no farther."""
         far = float(np.abs(b - a) @ self.swing)
         return b if far <= _STEP else a + _STEP / far * (b - a)
+
+    def seconds(self, way: Array) -> Array:
+        """How long straight moves between postures (k, nj) take (k - 1) [s], each from rest to rest."""
+        share = np.linspace(0.0, 1.0, _LOOKS + 1)[:, None]
+        q = way[:-1, None] + share * (way[1:] - way[:-1])[:, None]
+        tips = self.cell.T_part_nozzle(q.reshape(-1, way.shape[1]))[:, :3, 3].reshape(*q.shape[:2], 3)
+        tip = np.linalg.norm(np.diff(tips, axis=1), axis=2).max(axis=1) * _LOOKS / self.speed
+        joints = (np.abs(np.diff(way, axis=0)) / self.cell.limits.velocity).max(axis=1)
+        return np.maximum(tip, joints) + _STOP
 
 
 class _Tree:
@@ -250,33 +271,29 @@ class _Tree:
         return way
 
 
-def around(
-    cell: Cell, ends: Ends, room: TravelClearance, obstacles: Obstacles, now: float, margin: float
-) -> Iterator[list[Array]]:
+def around(space: FreeSpace, ends: Ends) -> Iterator[list[Array]]:
     """Postures (nj) at which ways round everything rest, from above the start to above the end, to be tried in turn: they have
-    been looked at in coarse steps. A way is shortened until it passes close by, then as it was found, then from higher up.
+    been looked at in coarse steps. A way is shortened, then with more room, then as it was found, then from higher up.
     Nothing if none is found."""
-    limits = cell.limits
-    both = np.stack([ends.start.q, ends.end.q])
+    cell, room = space.cell, space.room
+    limits, both = cell.limits, np.stack([ends.start.q, ends.end.q])
     low = np.maximum(limits.q_min, both.min(axis=0) - np.pi)
     high = np.minimum(limits.q_max, both.max(axis=0) + np.pi)
-    space = _FreeSpace(cell, room, obstacles, now, margin, obstacles.swing, low, high)
     for factor in _LIFTS:
         a, b = np.hstack([lifted(cell, both, room, factor * room.lift), both[:, len(cell.arm) :]])
         if space.clear(a, a) and space.clear(b, b):
-            way = _connect(space, a, b)
+            way = _connect(space, a, b, low, high)
             if way is not None:
-                short = _shortened(space, way)
-                yield short
-                if len(short) < len(way):
-                    yield way
+                yield shorter(space, way)
+                yield shorter(replace(space, margin=space.margin + _ROOM), way)
+                yield way
 
 
-def _connect(space: _FreeSpace, a: Array, b: Array) -> list[Array] | None:
+def _connect(space: FreeSpace, a: Array, b: Array, low: Array, high: Array) -> list[Array] | None:
     rng = np.random.default_rng(0)
     here, there, turned = _Tree(a), _Tree(b), False
     for k in range(_DRAWN):
-        goal = there.q[0] if k == 0 else rng.uniform(space.low, space.high)
+        goal = there.q[0] if k == 0 else rng.uniform(low, high)
         near = here.nearest(goal, space.swing)
         new = space.towards(here.q[near], goal)
         if space.clear(here.q[near], new):
@@ -294,13 +311,31 @@ def _connect(space: _FreeSpace, a: Array, b: Array) -> list[Array] | None:
     return None
 
 
-def _shortened(space: _FreeSpace, way: list[Array]) -> list[Array]:
-    """The way with straight moves in place of detours, where these are clear."""
-    rng = np.random.default_rng(0)
+def shorter(space: FreeSpace, way: Sequence[Array]) -> list[Array]:
+    """The way, postures (nj) at which it rests, with straight moves in place of detours where these are clear and save time:
+    of all joints, or of some while the others go as they did (Geraerts and Overmars, IJRR 26, 2007)."""
+    rng, q = np.random.default_rng(0), np.array(way)
+    legs = space.seconds(q)
     for _ in range(_SHORTCUTS):
-        if len(way) < 3:
+        if len(legs) < 2:
             break
-        i, j = sorted(int(k) for k in rng.choice(len(way), 2, replace=False))
-        if j - i > 1 and space.clear(way[i], way[j]):
-            way = [*way[: i + 1], *way[j:]]
-    return way
+        at = np.concatenate([[0.0], np.cumsum(legs)])
+        two = np.sort(rng.uniform(0.0, at[-1], 2))
+        some: Flags = np.ones(q.shape[1], dtype=np.bool_)
+        if rng.random() >= _ALL:
+            some = np.asarray(rng.random(q.shape[1]) < 0.5)
+        i, j = np.minimum(np.searchsorted(at, two, side="right") - 1, len(legs) - 1)
+        if i == j:
+            continue
+        share = ((two - at[[i, j]]) / legs[[i, j]])[:, None]
+        a, b = q[[i, j]] + share * (q[[i + 1, j + 1]] - q[[i, j]])
+        middle = q[i + 1 : j + 1].copy()
+        gone = ((at[i + 1 : j + 1] - two[0]) / (two[1] - two[0]))[:, None]
+        middle[:, some] = (a + gone * (b - a))[:, some]
+        new = np.vstack([q[i], a, *([] if some.all() else middle), b, q[j + 1]])
+        taken = space.seconds(new)
+        if taken.sum() > at[j + 1] - at[i] - _WORTH:
+            continue
+        if all(space.clear(*leg) for leg in itertools.pairwise(new[1:-1])):
+            q, legs = np.vstack([q[:i], new, q[j + 2 :]]), np.concatenate([legs[:i], taken, legs[j + 1 :]])
+    return list(q)

@@ -22,7 +22,7 @@ from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath
 from planner.motion.travel import ways
 from planner.motion.travel.clearance import TravelClearance, fine, glance, track, travel_clearance
-from planner.motion.travel.detours import FITS, along_tips, arc, around
+from planner.motion.travel.detours import FITS, FreeSpace, along_tips, arc, around, shorter
 from planner.motion.travel.moves import between
 from planner.motion.travel.ways import Built, Caps, Ends, at_rest, reaching
 from planner.motion.visits import visits
@@ -38,8 +38,8 @@ _SPARE = 2e-5  # m more than its clearance that a travel keeps, since it is look
 _SLIGHT = 1e-4  # m of clearance that it may lack where there is no other, as beside an end that has just enough
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
 _AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
-_SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
 _ARC = 1.5  # of a straight move's time, that an arc hardly beats
+_MUCH = 0.5  # s that a way by rests takes more than the least time, from which on a shorter one is looked for
 _EQUAL = 1e-3  # s by which a way may be slower than one that is less preferred
 _ROUNDING = 1e-6  # s that a travel lasts longer than it has to
 _LIMIT_ROUNDING = 1e-9  # of a limit
@@ -68,6 +68,11 @@ class TravelTask:
     obstacles: Obstacles = NOTHING
     now: float = 0.0
     margin: float = 0.0
+
+    @property
+    def space(self) -> FreeSpace:
+        """Where it may be."""
+        return FreeSpace(self.cell, self.room, self.speed, self.obstacles, self.now, self.margin)
 
     def hit(self, motion: Cubics) -> int:
         """Which pair of bodies comes too near along a motion, or -1."""
@@ -253,11 +258,13 @@ class TravelWay:
     """One way to travel: how it is built below caps of velocity, and a time [s] that it cannot beat, or hardly.
 
     instead: what to try where it is not clear of the part
+    vias     postures (nj) at which it rests, for ways of that kind
     """
 
     build: Callable[[Caps], Built | None]
     bound: float
     instead: tuple[TravelWay, ...] = ()
+    vias: Callable[[], Sequence[Array]] | None = None
 
 
 def quickest(task: TravelTask) -> Cubics | None:
@@ -270,7 +277,7 @@ def quickest(task: TravelTask) -> Cubics | None:
     cell = task.cell
     if _holder_is_barred(task):
         return None
-    free = Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
+    free = free_caps(cell)
     number = itertools.count()
     queue: list[tuple[float, int, TravelWay, Caps, Built | None, int]] = []
 
@@ -281,13 +288,13 @@ def quickest(task: TravelTask) -> Cubics | None:
         push(way.bound, way, free)
     roundabout: Iterator[list[Array]] = iter(())
     if task.obstacles.any:
-        roundabout = around(cell, task.ends, task.room, task.obstacles, task.now, task.margin)
+        roundabout = around(task.space, task.ends)
     while True:
         if not queue:
             vias = next(roundabout, None)
             if vias is None:
                 return None
-            push(0.0, TravelWay(partial(ways.resting_at, cell, task.ends, vias), 0.0), free)
+            push(0.0, _resting(task, partial(_as_they_are, vias), 0.0), free)
             continue
         bound, _, way, caps, built, tries = heapq.heappop(queue)
         if built is None:
@@ -299,13 +306,48 @@ def quickest(task: TravelTask) -> Cubics | None:
         if built is not None and clear:
             clear, tip_speed = _look(task, built.motion)
             if clear and tip_speed <= _FAST * task.speed:
-                return built.motion
+                return built.motion if way.vias is None else cut_short(task, way.vias(), built.motion)
             if clear and tries < _SLOWER_TRIES:
                 slower = _slower(built, _AIM * task.speed / tip_speed)
                 push(built.motion.duration, way, slower, tries=tries + 1)
         if not clear:
             for other in way.instead:
                 push(max(bound, other.bound), other, free)
+
+
+def free_caps(cell: Cell) -> Caps:
+    """Caps that stop nothing."""
+    return Caps(np.full(len(cell.home), np.inf), np.full(len(cell.arm), np.inf))
+
+
+def _resting(
+    task: TravelTask, vias: Callable[[], Sequence[Array]], bound: float, instead: tuple[TravelWay, ...] = ()
+) -> TravelWay:
+    """The way that rests at postures (nj)."""
+
+    def build(caps: Caps) -> Built | None:
+        return ways.resting_at(task.cell, task.ends, vias(), _AIM * task.speed, caps)
+
+    return TravelWay(build, bound, instead, vias)
+
+
+def _as_they_are(vias: Sequence[Array]) -> Sequence[Array]:
+    return vias
+
+
+def cut_short(task: TravelTask, vias: Sequence[Array], resting: Cubics) -> Cubics:
+    """A way that is clear and rests at postures (nj); or a shorter one, where there is much to be saved, and that is clear,
+    too, and quicker. Who knows of no obstacles keeps to ways that go far round."""
+    direct = ways.straight(task.cell, replace(task.ends, least=0.0), free_caps(task.cell))
+    chord = float(np.linalg.norm(task.room.tips[1] - task.room.tips[0])) / task.speed
+    least = max(chord, task.ends.least, 0.0 if direct is None else direct.motion.duration)
+    if not task.obstacles.any or len(vias) < 3 or resting.duration < least + _MUCH:
+        return resting
+    built = ways.resting_at(task.cell, task.ends, shorter(task.space, vias), _AIM * task.speed, free_caps(task.cell))
+    if built is None or built.motion.duration >= resting.duration or not within_limits(task.cell, built.motion):
+        return resting
+    clear, tip_speed = _look(task, built.motion)
+    return built.motion if clear and tip_speed <= _FAST * task.speed else resting
 
 
 def _holder_is_barred(task: TravelTask) -> bool:
@@ -426,12 +468,13 @@ def _ways(task: TravelTask, free: Caps) -> Iterator[TravelWay]:
         build = partial(_uncapped, partial(arc, cell, ends, room, _AIM * task.speed, fit))
         other = (TravelWay(build, max(_ARC * least, chord / task.speed), other),)
     yield from other
-    resting = ways.by_way_of(cell, ends, room, lift, "straight", free)
+    straight = ways.lifted_over(cell, ends, room, lift, "straight")
+    resting = ways.resting_at(cell, ends, straight, np.inf, free)
     least = least if resting is None else resting.motion.duration
     other = ()
     for factor in reversed(LIFTS):
-        heights = [partial(ways.by_way_of, cell, ends, room, factor * lift, name) for name in ways.POSTURES]
-        other = tuple(TravelWay(build, least, other if build is heights[-1] else ()) for build in heights)
+        heights = [partial(ways.lifted_over, cell, ends, room, factor * lift, name) for name in ways.POSTURES]
+        other = tuple(_resting(task, vias, least, other if vias is heights[-1] else ()) for vias in heights)
     yield from other
 
 
@@ -443,8 +486,10 @@ def _uncapped(build: Callable[[], Built | None], caps: Caps) -> Built | None:
 def _slower(built: Built, factor: float) -> Caps:
     """Caps that bring the velocities of a way's parts down to a share of what they reached."""
     along = built.motion if built.along is None else built.along
-    caps = np.maximum(factor * extremes(along).velocity, _SLOWEST)
-    over = np.inf * np.ones(0) if built.over is None else np.maximum(factor * extremes(built.over).velocity, _SLOWEST)
+    caps = np.maximum(factor * extremes(along).velocity, ways.SLOWEST)
+    over = (
+        np.inf * np.ones(0) if built.over is None else np.maximum(factor * extremes(built.over).velocity, ways.SLOWEST)
+    )
     return Caps(caps, over)
 
 

@@ -18,7 +18,7 @@ from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_jacobians, chain_poses, solve_symmetric
 from planner.motion.cubics import Cubics, JointState, add, chain, extremes, rest
 from planner.motion.timing.profile import HEADROOM
-from planner.motion.travel.clearance import TravelClearance
+from planner.motion.travel.clearance import TravelClearance, glance
 from planner.motion.travel.moves import LEAST_LEFT, Bounds, between, resting, time_beside
 
 DRAW_BACK = 0.5  # rad of the lower arm, backwards: lifts the nozzle off the part and towards the arm's base
@@ -28,6 +28,8 @@ _DAMPING = 1e-6  # m^2: keeps steps small where the arm is stretched
 _STRETCHES = 8  # tries to give the lift the time it needs
 _SHARE = 0.5  # of an arm joint's acceleration and jerk that a straight move in motion takes, the rest lifts
 _MORE = 1e-6  # s that a straight move lasts longer than what is laid over it needs
+_SLOWER_TRIES = 4  # of a move whose tip is too fast: between rests the first one does
+SLOWEST = 1e-3  # rad/s that a joint may always move, so that a cap never stops it
 _IN_TIME = 1.0 - 1e-9  # of the straight move: the hump ends within it, whatever rounding does
 
 
@@ -193,20 +195,35 @@ def _reaching(placements: Array, axes: Array, T_last_tip: Array, q: Array, goal:
     return near
 
 
-def by_way_of(cell: Cell, ends: Ends, room: TravelClearance, raised: float, through: str, caps: Caps) -> Built | None:
-    """Lifted along the normal, across, and lowered, at rest in between; across as one of `POSTURES` names it."""
+def lifted_over(cell: Cell, ends: Ends, room: TravelClearance, raised: float, through: str) -> list[Array]:
+    """Postures (nj) by way of which a travel is lifted along the normal, goes across as one of `POSTURES` names it, and is
+    lowered."""
     na = len(cell.arm)
     both = np.stack([ends.start.q, ends.end.q])
     a, b = np.hstack([lifted(cell, both, room, raised), both[:, na:]])
-    return resting_at(cell, ends, [a, *POSTURES[through](cell, a, b), b], caps)
+    return [a, *POSTURES[through](cell, a, b), b]
 
 
-def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], caps: Caps) -> Built | None:
-    """By way of postures (nj) at which it rests."""
+def resting_at(cell: Cell, ends: Ends, vias: Sequence[Array], speed: float, caps: Caps) -> Built | None:
+    """By way of postures (nj) at which it rests; each move between them is as slow as its tip must be, at `speed` [m/s]."""
     bounds = ends.bounds.capped(caps.along)
     states = [ends.start, *(at_rest(via) for via in vias), ends.end]
-    motion = waiting([between(bounds, a, b) for a, b in itertools.pairwise(states)], ends.least)
+    moves = [below_tip_speed(cell, bounds, a, b, speed) for a, b in itertools.pairwise(states)]
+    motion = waiting(moves, ends.least)
     return None if motion is None else Built(motion)
+
+
+def below_tip_speed(cell: Cell, bounds: Bounds, start: JointState, end: JointState, speed: float) -> Cubics | None:
+    """The quickest move from state to state whose tip is no faster than `speed` [m/s], or one that is close to it."""
+    move = between(bounds, start, end)
+    for _ in range(_SLOWER_TRIES):
+        if move is None:
+            break
+        over = glance(cell, move).tip_speed / speed
+        if over <= 1.0:
+            break
+        move = between(bounds.capped(np.maximum(extremes(move).velocity / over, SLOWEST)), start, end)
+    return move
 
 
 def at_rest(q: Array) -> JointState:
