@@ -116,7 +116,7 @@ class _Search:
         # not tilted, the nozzle is as far from plumb as the layer from level
         down = -cell.arm.poses(q[ok, : len(cell.arm)])[:, 2, 2]
         ok[ok] = down >= np.cos(min(cones.nozzle_gravity, cones.layer_gravity)) - 1e-9
-        jacobians = cell.arm.jacobians(q[ok, : len(cell.arm)])
+        jacobians = cell.arm.jacobians(q[ok, : len(cell.arm)])[:, :, cell.rails :]  # a rail would hide singularities
         ok[ok] = np.linalg.svd(jacobians, compute_uv=False)[:, 5] >= self.min_sigma
         return ok
 

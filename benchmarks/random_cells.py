@@ -74,6 +74,20 @@ ARMS = {
     "panda": Arm((0, -45, 0, -135, 0, 90, 45), ((350, -200, 30), (550, 200, 250)), 40),
     "xarm7": Arm((0, -20, 0, 60, 0, 80, 0), ((320, -200, 30), (500, 200, 250)), 40),
 }
+# where parts may stand before an arm that hangs from a ceiling, in its own frame (low, high) [mm]
+BELOW = {
+    "irb140": ((350, -200, 350), (600, 200, 700)),
+    "irb2600": ((600, -400, 500), (1150, 400, 1200)),
+    "ur10e": ((400, -300, 400), (800, 300, 850)),
+}
+# an arm on a wall has z level and x downwards
+BESIDE = {
+    "irb140": ((350, -200, 450), (650, 200, 800)),
+    "irb2600": ((600, -400, 700), (1150, 400, 1300)),
+    "ur10e": ((400, -300, 400), (800, 300, 800)),
+}
+# arms that ride on a track, whose top is so high [mm]
+RIDERS, TRACK_HEIGHT = {"irb140": 0.25, "irb2600": 0.4, "ur10e": 0.2, "iiwa": 0.15}, 300.0
 # the plate of the positioner in front of each arm [mm], and by how much it may stand elsewhere
 PLATES = {
     "irb140": ((633.5, 9.87, 320.0), 50.0),
@@ -190,13 +204,62 @@ def second_arm(rng: Generator) -> Stand:
     return Stand({**_arm(rng, "irb1200_09"), "positioner": positioner}, _foot(rng, 50.0), 50.0, True)
 
 
+def rail(rng: Generator) -> Stand:
+    """An arm on a track of 3 m that is free, beside which a part stands that may be longer than the arm reaches."""
+    name = str(rng.choice(list(RIDERS), p=list(RIDERS.values())))
+    low, high = (np.array(corner) for corner in ARMS[name].bed)
+    forward, aside, up = rng.uniform(low, high)
+    if rng.random() < FAR:
+        forward = high[0] * rng.uniform(1.1, 1.6)
+    along = float(rng.uniform(300.0, 2700.0))
+    at = np.array([along, forward, up + TRACK_HEIGHT])
+    cell: dict[str, Any] = {**_arm(rng, name), "bed_mm": _rounded(at, 1)}
+    cell["home_deg"] = [
+        round(cell["home_deg"][0] + 90.0 * (1 if cell["home_deg"][0] < 0.0 else -1), 1),
+        *ARMS[name].home[1:],
+    ]
+    rests = float(np.clip(along + rng.choice([0.0, 5.0]) * aside, 50.0, 2950.0))
+    cell["base"] = {"robot": "track_3m", "free": ["rail"], "home_mm": {"rail": round(rests, 1)}}
+    if rng.random() < 0.3:
+        cell["fixtures"] = {"bed": {"box_mm": [800, 300, 20], "centre_mm": _rounded(at - [0.0, 0.0, 10.0], 1)}}
+    limits = _limits(rng, name, False)
+    if rng.random() < 0.3:
+        slow = {"speed_mm_s": float(rng.choice([100, 300])), "acceleration_mm_s2": float(rng.choice([500, 1000]))}
+        limits = {"limits": {**limits.get("limits", {}), "rail": slow}}
+    largest = ARMS[name].largest if rng.random() < 0.4 else 350.0
+    return Stand({**cell, **limits}, _foot(rng, 60.0), largest, False)
+
+
+def hung(rng: Generator) -> Stand:
+    """An arm that hangs from a ceiling or stands out from a wall, over a bed or a turntable."""
+    name, ceiling = str(rng.choice(list(BELOW))), rng.random() < 0.6
+    low, high = (np.array(corner, dtype=float) for corner in (BELOW if ceiling else BESIDE)[name])
+    x, y, z = rng.uniform(low, high)
+    if rng.random() < FAR:
+        z = high[2] * rng.uniform(1.1, 1.6)
+    foot = float(rng.uniform(1200.0, 1800.0))
+    cell = _arm(rng, name)
+    bent = ARMS[name].home[4] if name == "ur10e" else -45.0 if ceiling else 20.0
+    cell["home_deg"] = [*cell["home_deg"][:4], bent, cell["home_deg"][5]]
+    if ceiling:
+        cell |= {"base_mm": [0, 0, round(foot, 1)], "base_rpy_deg": [180, 0, 0]}
+        at = np.array([x, y, foot - z])
+    else:
+        cell |= {"base_mm": [0, 0, round(foot, 1)], "base_rpy_deg": [0, 90, 0]}
+        at = np.array([z, y, foot - x])
+    if rng.random() < 0.5:
+        return Stand({**cell, "bed_mm": _rounded(at, 1), **_limits(rng, name, False)}, _foot(rng, 60.0), 50.0, False)
+    cell["positioner"] = {"robot": "irbp_a250", "origin_mm": _rounded(at, 1), "free": ["rotation"]}
+    return Stand({**cell, **_limits(rng, name, True)}, _foot(rng, 90.0), 50.0, True)
+
+
 def seven_axes(rng: Generator) -> Stand:
     """An arm of seven joints, with a bed or a turntable."""
     name = str(rng.choice(["iiwa", "panda", "xarm7"]))
     return _bed(rng, name) if rng.random() < 0.7 else _table(rng, name, ["rotation"])
 
 
-# A kind is what draws its cell, whether a helix is printed, and whether all three cones hold. Rails belong here, too.
+# A kind is what draws its cell, whether a helix is printed, and whether all three cones hold.
 KINDS: dict[str, tuple[Callable[[Generator], Stand], bool, bool]] = {
     "bed": (bed, False, False),
     "turntable": (turntable, False, False),
@@ -206,6 +269,8 @@ KINDS: dict[str, tuple[Callable[[Generator], Stand], bool, bool]] = {
     "seven_axes": (seven_axes, False, False),
     "helix_turntable": (turntable, True, False),
     "helix_two_axes": (two_axes, True, False),
+    "rail": (rail, False, False),
+    "hung": (hung, False, False),
 }
 
 

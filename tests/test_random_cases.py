@@ -13,8 +13,10 @@ from benchmarks.random_cases import Outcome, Result
 from benchmarks.random_cells import KINDS, flow, make_case
 from planner.base.errors import EXIT_INPUT
 from planner.cell.cell import build_cell
+from planner.collision.scene import NOTHING
 from planner.problem import Problem, load_problem
 from planner.toolpath.build import build_toolpath
+from planner.toolpath.task import tasks_of
 from planner.verify.collision import check_start
 
 GOOD = {"ladder": Outcome("verified", "", 0.9, 100.0), "fixed": Outcome("failed", "tip on the path", 1.0, 50.0)}
@@ -131,3 +133,13 @@ def test_brute_force_finds_none_where_reach_ends_on_the_way(tmp_path: Path) -> N
 def test_brute_force_finds_none_out_of_reach(tmp_path: Path) -> None:
     found = brute_force.find_motion(line_at(1500, tmp_path))
     assert not found and found.words.startswith("none found: bead 0, up to 0.0 mm")
+
+
+def test_a_rail_hides_no_singularity_from_brute_force(tmp_path: Path) -> None:
+    problem = load_problem(make_case("rail", 0).write(tmp_path))
+    cell = build_cell(problem)
+    task = tasks_of(problem, build_toolpath(problem))[0]
+    search = brute_force._Search(cell, task, NOTHING, problem.resolve.min_sigma)
+    q = np.tile(cell.home, (2, 1))
+    q[:, cell.rails + 4] = 0.8, 0.0  # the wrist, bent and stretched
+    assert search.allowed(q).tolist() == [True, False]
