@@ -12,7 +12,7 @@ import pytest
 
 from planner.base.errors import Change, MovedBy, Refusal
 from planner.planning.pipeline import load, solve
-from planner.planning.tried import MOST_PLANS, MOST_WAYPOINTS, hints_that_hold
+from planner.planning.tried import MOST_PLANS, MOST_SECONDS, MOST_WAYPOINTS, hints_that_hold
 from planner.problem import Problem
 from planner.toolpath.build import build_toolpath
 
@@ -70,6 +70,16 @@ def test_a_change_that_is_no_valid_value_or_is_refused_is_not_told(tmp_path: Pat
     problem = problem_of(tmp_path)
     hints = (change("resolve.rung_mm", "-3"), change("name", "refused"))
     assert hints_that_hold(problem, build_toolpath(problem), hints, Planner(lambda p: True)) == ()
+
+
+def test_no_plan_is_begun_after_some_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(tmp_path)
+    hours = iter([0.0, 1.0, 1.5 * MOST_SECONDS])
+    monkeypatch.setattr("planner.planning.tried.time", SimpleNamespace(monotonic=lambda: next(hours)))
+    hints = tuple(change("collision.nozzle_mm", value) for value in ("1", "0.5"))
+    told = hints_that_hold(problem, build_toolpath(problem), hints, plan := Planner(lambda p: False))
+    assert plan.asked == ["collision.nozzle_mm=1"]
+    assert told == (f"{hints[1]} (not planned to the end)",)
 
 
 def test_what_is_not_tried_is_said_to_be_untried(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from rich.console import Console
 
 from planner.base.command_line import exit_code
 from planner.base.distribution import crew
-from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Refusal
+from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED, Hints, Refusal
 from planner.base.progress import Stages
 from planner.base.results import results_folder
 from planner.base.signals import no_more_interruptions
@@ -63,24 +63,25 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
         with results_folder(folder, RESULTS_BY, told.append) as fresh, crew(options.jobs, options.scheduler) as over:
             libraries.begin()  # one core has nothing else to do before the search
+            hints: Hints | None = None
             shared = over if options.jobs > 1 or options.scheduler is not None else None
             try:
                 plan = solve(
                     problem, strategy, options.dt, stages, True, options.tolerance, options.from_bead, over=shared
                 )
             except Refusal as refusal:
+                errors.print(f"no plan: {refusal}", markup=False, soft_wrap=True)
+                with stages.stage("hints"):  # found when they are first asked for, which may take longer than all else
+                    hints = refusal.hints
                 write_refusal(problem, strategy, refusal, fresh)
                 report_refusal(problem, strategy, refusal, fresh / "report.html")
-                reason: Refusal | None = refusal
             else:
                 plan = write_files(plan, fresh, stages, second_process=True)
-                reason = None
     no_more_interruptions()  # which would say that nothing was written
     for sentence in told:
         errors.print(f"note: {sentence}", markup=False, soft_wrap=True)
-    if reason is not None:
-        errors.print(f"no plan: {reason}", markup=False, soft_wrap=True)
-        for hint in reason.hints:
+    if hints is not None:
+        for hint in hints:
             errors.print(f"try: {hint}", markup=False, soft_wrap=True)
         errors.print(f"see {folder / 'report.html'}", markup=False, soft_wrap=True)
         return EXIT_NOT_VERIFIED

@@ -7,6 +7,7 @@ for every hint: there it is said that nothing but the search has been tried.
 from __future__ import annotations
 
 import shlex
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,7 +22,8 @@ from planner.toolpath.waypoints.beads import NOTED
 from planner.toolpath.waypoints.surfels import other_height
 
 MOST_WAYPOINTS = 20_000  # planned for all hints of a refusal together,
-MOST_PLANS = 6  # and in so many plans
+MOST_PLANS = 6  # and in so many plans,
+MOST_SECONDS = 120.0  # s after which no further one is begun
 _UNTRIED = "not planned to the end"
 _HEIGHT = "process.bead.height_mm"
 _SMOOTHING = "layers.source.smooth_normals_deg"
@@ -49,6 +51,7 @@ def hints_that_hold(
     hints = (*_other_side(problem, toolpath), *_other_height(problem, toolpath), *own, *_smoothing(problem, toolpath))
     waypoints = toolpath.waypoints
     left, told, holds = min(MOST_PLANS, MOST_WAYPOINTS // waypoints), [], False
+    end = time.monotonic() + MOST_SECONDS
     if best is not None and left:
         left -= 1
         found = _verified(problem, (), best)
@@ -60,7 +63,7 @@ def hints_that_hold(
             told.append(hint)
             continue
         for what, fields in hint.tries:
-            if not left:
+            if not left or time.monotonic() > end:
                 told.append(f"{hint} ({_UNTRIED})")
                 break
             left -= 1
