@@ -20,8 +20,8 @@ from planner.cell.kinematics.inverse import Corrected, kind_of, solve_one, solve
 from planner.cell.kinematics.placed_wrist import PlacedWrist, read_spherical_wrist
 from planner.cell.kinematics.spherical_wrist import SphericalWrist
 from planner.cell.robot import Robot, base_to_tip, chain_of, read_robot
-from planner.cell.robots_command import reach
 from planner.cell.urdf import model_of, parse_urdf
+from planner.robots.listing import reach
 from tests.public_arms import ARMS, LEVEL, PublicArm, kuka, urdf_of
 
 TURN = 2.0 * np.pi

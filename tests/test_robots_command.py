@@ -9,7 +9,7 @@ import pytest
 
 from planner.base.shipped import ROBOTS
 from planner.cell.robot import read_robot, robot_names
-from planner.cell.robots_command import main, reach
+from planner.robots.listing import main, reach
 
 MAKERS_REACH = {  # m: to the wrist, product specifications of ABB
     "irb140": 0.810, "irb1600_12": 1.225, "irb1600_145": 1.450, "irb1200_09": 0.901, "irb1200_07": 0.703, "irb2600": 1.653,

@@ -19,7 +19,6 @@ from planner.base.errors import InputError, nearest_name
 from planner.base.files import read_text
 from planner.base.shipped import ROBOTS
 from planner.cell.robot import Robot, read_robot, shipped_robots
-from planner.cell.robots_command import reach
 from planner.new.posture import reached, usual_place
 from planner.problem import Problem
 from planner.problem.cell import CellSpec, NozzleSpec, PositionerSpec
@@ -29,6 +28,7 @@ from planner.problem.layers import AerofoilSpec
 from planner.problem.mesh_files import read_corners
 from planner.problem.part import CylinderSpec, SphereSpec
 from planner.problem.process import BeadSpec, ProcessSpec
+from planner.robots.listing import reach
 from planner.toolpath.dxf.reader import read_drawing
 from planner.toolpath.gcode.reader import text_of
 from planner.toolpath.svg.document import read_document

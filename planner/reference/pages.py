@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from planner.base.command_line import Command
-from planner.cell.robots_command import robots_command
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
 from planner.feedback.identify_command import (
     extruder_read_command,
@@ -28,6 +27,7 @@ from planner.reference.markdown import table
 from planner.register.command import register_command
 from planner.report.demo import demo_command
 from planner.robots.command import add_command
+from planner.robots.listing import robots_command
 from planner.simulate.command import simulate_command
 from planner.view.options import view_command
 

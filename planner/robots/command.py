@@ -12,9 +12,9 @@ from rich.console import Console
 
 from planner.base.command_line import Command, exit_code, one_of, yaml_file
 from planner.base.errors import EXIT_NOT_VERIFIED, EXIT_VERIFIED
-from planner.cell import robots_command
 from planner.planning.files import write
 from planner.problem.settings import LANGUAGE_NAMES
+from planner.robots import listing
 from planner.robots.adding import added
 from planner.robots.trial import Trial, trial
 
@@ -67,7 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     if given[:1] != ["add"]:
-        return robots_command.main(given)
+        return listing.main(given)
     options = add_command().parse_args(given[1:])
     errors = Console(stderr=True, highlight=False)
     say = partial(errors.print, markup=False, soft_wrap=True)
@@ -84,7 +84,7 @@ def _add(options: argparse.Namespace, errors: Console) -> int:
     file, made = added(options.urdf, options.out, options.tip, options.language, arguments, tried)
     for note in (*made.found.notes, *made.touch.notes):
         say(f"  {note}")
-    for part in robots_command.details(file, made.robot):
+    for part in listing.details(file, made.robot):
         errors.print(part, markup=False, soft_wrap=True) if isinstance(part, str) else errors.print(part)
     print(file)
     if options.no_print:

@@ -12,7 +12,6 @@ import numpy as np
 from planner.base.arrays import Array
 from planner.base.errors import InputError, Refusal
 from planner.cell.robot import Robot
-from planner.cell.robots_command import reach
 from planner.new.posture import FAR, HIGH, ROUND, reached
 from planner.plan import Plan
 from planner.planning.check_command import examine
@@ -20,6 +19,7 @@ from planner.planning.pipeline import solve
 from planner.problem.problem import parse_problem
 from planner.robots.face import DEEP, depth
 from planner.robots.files import BENDS, Cap, TrialNozzle, cap_for, nozzle_of, print_text, trial_files
+from planner.robots.listing import reach
 
 ABOVE = 0.05  # m above the cap, where the print begins and ends
 PLACES = 20  # best places that are looked at, one after another
