@@ -21,8 +21,8 @@ from planner.motion.cubics import Cubics, JointState
 from planner.motion.timing.timed_path import TimedPath, time_path
 from planner.motion.travel import detours, plan, ways
 from planner.motion.travel.clearance import travel_clearance
-from planner.motion.travel.detours import FreeSpace, around, shorter
-from planner.motion.travel.plan import TravelTask, no_way, plan_travels, quickest
+from planner.motion.travel.detours import ClearSpace, around, shorter
+from planner.motion.travel.plan import TravelTask, no_way, plan_travels, quickest, too_near
 from planner.motion.travel.ways import Ends, bounds_of
 from planner.problem import Problem, load_problem
 from planner.resolve.joint_path import JointPath
@@ -301,13 +301,31 @@ def test_a_refusal_of_travel_names_the_bodies(
     assert re.match(r"collision of .* with wall on the way to or from this bead", no_way(task, quickest))
 
 
+def test_a_bead_that_ends_in_something_is_told_so(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rather than that there is no way from there, where there is none."""
+    _, task = beside_a_wall(problem, bare, toolpath, timed)
+    wall = Body("wall", Capsule(0.04, 0.5), at(head_at(bare, timed[-1].end.q)))
+    cell = replace(bare, fixtures=(wall,))
+    obstacles = obstacles_of(problem, cell, toolpath)
+    monkeypatch.setattr(plan, "quickest", lambda task: None)
+    with pytest.raises(
+        Refusal, match=r"and wall lack \d+\.\d mm of clearance where this bead ends, and no way"
+    ) as refused:
+        plan_travels(cell, timed, toolpath, problem.process, [len(timed)], obstacles)
+    assert refused.value.bead == timed[-1].path.task.bead
+    at_wall = replace(task, cell=cell, obstacles=obstacles, ends=replace(task.ends, end=timed[-1].end))
+    assert too_near(at_wall).endswith("where this bead begins, and no way from there is clear")
+
+
 def test_ways_round_are_tried_until_one_is_clear(
     problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each shortened, then with more room, then as it was found, then from higher up: what was looked at coarsely may graze."""
     _, task = beside_a_wall(problem, bare, toolpath, timed)
     whole = [task.ends.start.q + share * (task.ends.end.q - task.ends.start.q) for share in (0.3, 0.5, 0.7)]
-    monkeypatch.setattr(FreeSpace, "clear", lambda *_: True)
+    monkeypatch.setattr(ClearSpace, "clear", lambda *_: True)
     monkeypatch.setattr(detours, "_connect", lambda *_: whole)
     monkeypatch.setattr(detours, "shorter", lambda space, way: way[::2])
     found = list(around(task.space, task.ends))

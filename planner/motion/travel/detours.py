@@ -203,7 +203,7 @@ def _spline(times: Array, q: Array) -> Cubics:
 
 
 @dataclass(frozen=True)
-class FreeSpace:
+class ClearSpace:
     """Where a travel may be: clear of part and obstacles, when the print has come so far, with a margin; the tip no faster
     than `speed` [m/s]."""
 
@@ -271,7 +271,7 @@ class _Tree:
         return way
 
 
-def around(space: FreeSpace, ends: Ends) -> Iterator[list[Array]]:
+def around(space: ClearSpace, ends: Ends) -> Iterator[list[Array]]:
     """Postures (nj) at which ways round everything rest, from above the start to above the end, to be tried in turn: they have
     been looked at in coarse steps. A way is shortened, then with more room, then as it was found, then from higher up.
     Nothing if none is found."""
@@ -289,7 +289,7 @@ def around(space: FreeSpace, ends: Ends) -> Iterator[list[Array]]:
                 yield way
 
 
-def _connect(space: FreeSpace, a: Array, b: Array, low: Array, high: Array) -> list[Array] | None:
+def _connect(space: ClearSpace, a: Array, b: Array, low: Array, high: Array) -> list[Array] | None:
     rng = np.random.default_rng(0)
     here, there, turned = _Tree(a), _Tree(b), False
     for k in range(_DRAWN):
@@ -311,7 +311,7 @@ def _connect(space: FreeSpace, a: Array, b: Array, low: Array, high: Array) -> l
     return None
 
 
-def shorter(space: FreeSpace, way: Sequence[Array]) -> list[Array]:
+def shorter(space: ClearSpace, way: Sequence[Array]) -> list[Array]:
     """The way, postures (nj) at which it rests, with straight moves in place of detours where these are clear and save time:
     of all joints, or of some while the others go as they did (Geraerts and Overmars, IJRR 26, 2007)."""
     rng, q = np.random.default_rng(0), np.array(way)

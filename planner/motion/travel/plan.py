@@ -22,7 +22,7 @@ from planner.motion.timing.profile import HEADROOM
 from planner.motion.timing.timed_path import TimedPath
 from planner.motion.travel import ways
 from planner.motion.travel.clearance import TravelClearance, fine, glance, track, travel_clearance
-from planner.motion.travel.detours import FITS, FreeSpace, along_tips, arc, around, shorter
+from planner.motion.travel.detours import FITS, ClearSpace, along_tips, arc, around, shorter
 from planner.motion.travel.moves import between
 from planner.motion.travel.ways import Built, Caps, Ends, at_rest, reaching
 from planner.motion.visits import visits
@@ -36,6 +36,7 @@ LIFTS = (1.0, 2.0, 4.0, 8.0, 16.0)  # of the least lift, for ways that rest when
 _OVER = 2.0  # of its height, from which on what a bead stands out by is no layer, but a gap beneath it
 _SPARE = 2e-5  # m more than its clearance that a travel keeps, since it is looked at in steps
 _SLIGHT = 1e-4  # m of clearance that it may lack where there is no other, as beside an end that has just enough
+_DEEP = 1e-3  # m of clearance that an end lacks, from which on it is the reason where there is no way
 _SLOWER_TRIES = 12  # each brings the tip's speed down to the limit or close to it
 _AIM, _FAST = 0.98, 0.995  # of the tip's greatest speed: what is aimed at, and what is slow enough between instants
 _ARC = 1.5  # of a straight move's time, that an arc hardly beats
@@ -70,9 +71,9 @@ class TravelTask:
     margin: float = 0.0
 
     @property
-    def space(self) -> FreeSpace:
+    def space(self) -> ClearSpace:
         """Where it may be."""
-        return FreeSpace(self.cell, self.room, self.speed, self.obstacles, self.now, self.margin)
+        return ClearSpace(self.cell, self.room, self.speed, self.obstacles, self.now, self.margin)
 
     def hit(self, motion: Cubics) -> int:
         """Which pair of bodies comes too near along a motion, or -1."""
@@ -151,7 +152,8 @@ def plan_travels(
             motion = find(task)
         if motion is None:
             beside = leave if reach is None else reach
-            raise Refusal(no_way(task, find), bead=None if beside is None else beside.path.task.bead)
+            reason = too_near(task) if least < -_DEEP else no_way(task, find)
+            raise Refusal(reason, bead=None if beside is None else beside.path.task.bead)
         return motion
 
     def by_way_of(i: int, rest: JointState, leave: TimedPath, reach: TimedPath) -> ViaRest:
@@ -223,6 +225,16 @@ def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str
         return "no way to or from this bead is clear of the part, and within the limits of joints and travel speed"
     one, other = task.obstacles.names(task.hit(motion))
     return f"collision of {one} with {other} on the way to or from this bead, and no way round was found"
+
+
+def too_near(task: TravelTask) -> str:
+    """Which bodies lack clearance where a travel starts or ends, and how much."""
+    both = np.stack([task.ends.start.q, task.ends.end.q])
+    margins, which = task.obstacles.margins(both, np.full(2, task.now), _SPARE)
+    k = int(margins.argmin())
+    one, other = task.obstacles.names(int(which[k]))
+    place = "begins" if k else "ends"
+    return f"{one} and {other} lack {-1e3 * margins[k]:.1f} mm of clearance where this bead {place}, and no way from there is clear"
 
 
 def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
