@@ -87,11 +87,15 @@ class Cells(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Lattice steps (3) [rad] and full speeds (3) [rad/s] of tilt, rotation and heading, and the longest moves (3) [steps]."""
+    """Lattice steps (3) [rad] and full speeds (3) [rad/s] of tilt, rotation and heading, and the longest moves (3) [steps].
+
+    anywhere: whether tilt and rotation move past angles that will do neither before nor after, too
+    """
 
     step: Array
     speed: Array
     longest: Ints
+    anywhere: bool = False
 
 
 def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) -> Array:
@@ -336,13 +340,15 @@ def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
 #
 # The price of a move is that of tilt, of rotation and of heading added up, so its cheapest one is found axis by axis: from
 # cells to places that have their rotation and the new tilt, from there to the new cells, then over headings. Values alone are
-# kept; the way back looks for where each came from.
+# kept; the way back looks for where each came from. No axis moves past angles that will do neither before nor after: the
+# nozzle would leave its cone on the way.
 
 
 def _cheapest(
     cells: Cells, price: NDArray[np.float32], turns: Flags, steps: Steps, size: tuple[int, int, int], near: Ints
 ) -> Ints:
-    """Lattice indices (r, 2) of the cheapest way; `near` (2) are those where it begins."""
+    """Lattice indices (r, 2) of the cheapest way; `near` (2) are those where it begins. Where there is none past cells alone,
+    the cheapest past any angles: postures along it tell what it is worth."""
     r = len(cells.time)
     width = price.shape[1] * price.shape[2]
     block = r if cells.first[-1] * width <= _MOST_VALUES else max(int(np.ceil(np.sqrt(r))), 2)
@@ -353,6 +359,8 @@ def _cheapest(
     for k0, k1 in zip(edges[:-1], edges[1:], strict=True):
         kept = _sweep(cells, price, turns, steps, size, k0, k1, begun[-1])
         begun.append(kept[(cells.first[k1] - cells.first[k0]) :].copy())
+    if not (steps.anywhere or np.isfinite(begun[-1]).any()):
+        return _cheapest(cells, price, turns, steps._replace(anywhere=True), size, near)
     picked = np.empty((r, 2), dtype=np.int64)
     at = int(np.argmin(begun[-1]))
     for number in range(len(edges) - 2, -1, -1):
@@ -413,6 +421,7 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
             out[x, m] = begun[x, m]
     far = np.empty((3, 2 * max(na, nb, headings) + 1), dtype=np.float32)
     slot = np.full((na, nb), -1, dtype=np.int64)  # of a place with the old rotation and the new tilt
+    open_to = np.full((na, nb), False)
     wanted = np.zeros(na, dtype=np.bool_)
     places = np.empty(0, dtype=np.int64)
     moved = np.empty((0, width), dtype=np.float32)
@@ -422,42 +431,53 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
         w = np.empty(3, dtype=np.int64)
         for axis in range(3):
             w[axis] = _move_prices(axis, cells.begins[k], cells.time[k], steps, size, turns, far[axis])
+        free = cells.begins[k] or steps.anywhere
+        _mark(cells, old, end, True, open_to)
         # over tilt
         wanted[:] = False
         for x in range(new, end):
             wanted[cells.a[x]] = True
         count = 0
         for x in range(old, new):
-            for d in range(-w[0], w[0] + 1):
-                i = cells.a[x] + d
-                if turns[0]:
-                    i %= na
-                if 0 <= i < na and wanted[i] and slot[i, cells.b[x]] < 0:
-                    slot[i, cells.b[x]] = count
-                    count += 1
-                    if count > len(places):
-                        places = np.concatenate((places, np.empty(len(places) + 64, dtype=np.int64)))
-                    places[count - 1] = i * nb + cells.b[x]
+            for sign in (-1, 1):
+                for d in range(w[0] + 1):
+                    i = _stepped(cells.a[x], sign * d, na, turns[0])
+                    if i < 0:
+                        break
+                    if wanted[i] and slot[i, cells.b[x]] < 0:
+                        slot[i, cells.b[x]] = count
+                        count += 1
+                        if count > len(places):
+                            places = np.concatenate((places, np.empty(len(places) + 64, dtype=np.int64)))
+                        places[count - 1] = i * nb + cells.b[x]
+                    if not (open_to[i, cells.b[x]] or free):
+                        break
         if count > len(moved):
             moved = np.empty((2 * count, width), dtype=np.float32)
         moved[:count] = np.inf
         for x in range(old, new):
-            for d in range(-w[0], w[0] + 1):
-                i = cells.a[x] + d
-                if turns[0]:
-                    i %= na
-                if 0 <= i < na and wanted[i]:
-                    _least(moved[slot[i, cells.b[x]]], out[x - base], far[0, d + w[0]])
+            for sign in (-1, 1):
+                for d in range(w[0] + 1):
+                    i = _stepped(cells.a[x], sign * d, na, turns[0])
+                    if i < 0:
+                        break
+                    if wanted[i]:
+                        _least(moved[slot[i, cells.b[x]]], out[x - base], far[0, sign * d + w[0]])
+                    if not (open_to[i, cells.b[x]] or free):
+                        break
         # over rotation
         for x in range(new, end):
             own = out[x - base]
             own[:] = np.inf
-            for d in range(-w[1], w[1] + 1):
-                j = cells.b[x] - d
-                if turns[1]:
-                    j %= nb
-                if 0 <= j < nb and slot[cells.a[x], j] >= 0:
-                    _least(own, moved[slot[cells.a[x], j]], far[1, d + w[1]])
+            for sign in (-1, 1):
+                for d in range(w[1] + 1):
+                    j = _stepped(cells.b[x], -sign * d, nb, turns[1])
+                    if j < 0:
+                        break
+                    if slot[cells.a[x], j] >= 0:
+                        _least(own, moved[slot[cells.a[x], j]], far[1, sign * d + w[1]])
+                    if not (open_to[cells.a[x], j] or free):
+                        break
             # over heading
             for m in range(width):
                 row[m] = own[m]
@@ -480,7 +500,35 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
                     own[h * branches + c] += time * (cells.lean[x] + price[cells.voxel[x], h, c])
         for n in range(count):
             slot[places[n] // nb, places[n] % nb] = -1
+        _mark(cells, old, end, False, open_to)
     return out
+
+
+@inner_njit(error_model="numpy")
+def _mark(cells, first, last, mark, open_to) -> None:
+    """Mark the lattice points (na, nb) of some cells."""
+    for x in range(first, last):
+        open_to[cells.a[x], cells.b[x]] = mark
+
+
+@inner_njit(error_model="numpy")
+def _stepped(index: int, d: int, n: int, turns: bool) -> int:
+    """Index of n so many steps on, round the circle if it turns; -1 beyond the ends."""
+    if turns:
+        return (index + d) % n
+    return index + d if 0 <= index + d < n else -1
+
+
+@inner_njit(error_model="numpy")
+def _leads(open_to, a0, b0, d0, d1, turns) -> bool:
+    """Whether tilt can move from (a0, b0) by d0 steps and then rotation by d1, past marked lattice points alone."""
+    na, nb = open_to.shape
+    a1, past = _stepped(a0, d0, na, turns[0]), True
+    for d in range(1, abs(d0)):
+        past &= open_to[_stepped(a0, d if d0 > 0 else -d, na, turns[0]), b0]
+    for d in range(1, abs(d1)):
+        past &= open_to[a1, _stepped(b0, d if d1 > 0 else -d, nb, turns[1])]
+    return past
 
 
 @inner_njit(error_model="numpy")
@@ -508,8 +556,11 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
     width = headings * branches
     base = cells.first[k0]
     far = np.empty((3, 2 * max(size[0], size[1], headings) + 1), dtype=np.float32)
+    open_to = np.full((size[0], size[1]), False)
     for k in range(k1, k0, -1):
         old, new = cells.first[k - 1], cells.first[k]
+        free = cells.begins[k] or steps.anywhere
+        _mark(cells, old, cells.first[k + 1], True, open_to)
         x, column = new + at // width, at % width
         h, c = column // branches, column % branches
         picked[k, 0], picked[k, 1] = cells.a[x], cells.b[x]
@@ -526,6 +577,8 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
                 d1 = _short(d1, size[1])
             if abs(d0) > w[0] or abs(d1) > w[1]:
                 continue
+            if not (free or _leads(open_to, cells.a[y], cells.b[y], d0, d1, turns)):
+                continue
             move = far[0, d0 + w[0]] + far[1, d1 + w[1]]
             for d in range(-w[2], w[2] + 1):
                 g = (h + d) % headings
@@ -535,6 +588,7 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
                     t = values[y - base, g * branches + e] + move + far[2, d + w[2]] + (BRANCH_PRICE if e != c else 0.0)
                     if t < best:
                         best, at = t, (y - old) * width + g * branches + e
+        _mark(cells, old, cells.first[k + 1], False, open_to)
     x = cells.first[k0] + at // width
     picked[k0, 0], picked[k0, 1] = cells.a[x], cells.b[x]
     return at
