@@ -13,7 +13,7 @@ from benchmarks.random_cells import make_case
 from planner.base.errors import Refusal
 from planner.plan import Event
 from planner.planning import candidates, context
-from planner.planning.candidates import HELD, PlannedPaths, _best, _leaves_to_be_desired
+from planner.planning.candidates import CLEAR, HELD, PlannedPaths, _best, _leaves_to_be_desired
 from planner.planning.pipeline import solve
 from planner.problem import Problem, load_problem
 from planner.resolve.strategies import STRATEGIES
@@ -156,3 +156,15 @@ def test_what_the_search_refuses_a_simpler_strategy_may_print(tmp_path: Path, mo
     plan = solve(helix(tmp_path, 1.0), baseline=False)
     assert plan.verified
     assert plan.resolved_by.split(",")[0] in ("as_published", "fixed", "greedy")
+
+
+@pytest.mark.slow
+def test_a_head_that_leaning_does_not_clear_is_kept_clear_by_the_search(tmp_path: Path) -> None:
+    problem = load_problem(make_case("cones", 2).write(tmp_path))
+    plan = solve(problem, "sqp", baseline=False)
+    assert plan.verified
+    assert plan.resolved_by.startswith(CLEAR)
+    with pytest.raises(
+        Refusal, match=r"print head and part or print lack \d+\.\d mm of clearance where this bead ends"
+    ):
+        solve(problem, "ladder", baseline=False)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.random_cells import make_case
 from planner.cell.cell import Cell, build_cell
 from planner.problem import load_problem
 from planner.problem.settings import ResolveSpec
@@ -26,7 +27,7 @@ from planner.resolve.prices import (
 )
 from planner.resolve.table_path import Cells, Steps, _cheapest, _posture_prices, carried, table_path
 from planner.toolpath.build import build_toolpath
-from planner.toolpath.task import Cones, NozzleTask, smooth_normals
+from planner.toolpath.task import Cones, NozzleTask, smooth_normals, tasks_of
 
 SIZE = (5, 4, 3)  # tilts, rotations, headings
 BRANCHES = 2
@@ -193,6 +194,21 @@ def test_the_table_turns_all_it_must_rather_than_leave_the_cone() -> None:
     s = np.linspace(0.0, 0.006, n)
     task = on_normals(normals, np.column_stack([s, 0 * s, 0 * s]), s, Cones(layer_gravity=np.radians(8.0)))
     assert leans(two_axes(), task, 0.5e-3).max() < 8.0
+
+
+def test_a_table_that_is_wound_too_far_begins_elsewhere(tmp_path: Path) -> None:
+    """Within a range of little more than a turn, of which the way along the circle would leave more than one end."""
+    problem = load_problem(make_case("cones", 30).write(tmp_path))
+    cell, toolpath = build_cell(problem), build_toolpath(problem)
+    tasks = tasks_of(problem, toolpath)
+    demand = sample_tasks(tasks, problem.resolve.rung)
+    found = table_path(cell, tasks, demand)
+    round_, wound = module._table_path(cell, tasks, demand, frozenset())
+    na = len(cell.arm)
+    low, high = cell.limits.q_min[na:], cell.limits.q_max[na:]
+    assert wound == {1}
+    assert np.ptp(round_[:, 1]) > np.radians(200.0)
+    assert ((low < found) & (found < high)).all()
 
 
 def test_carried_twists_are_those_of_the_nozzle_while_the_table_moves() -> None:

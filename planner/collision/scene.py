@@ -175,13 +175,14 @@ class Around:
 @dataclass(frozen=True)
 class Obstacles:
     """Everything that may touch: numbers for the kernels, names of its bodies and of its trees of points, and how far joints
-    (nj) that slide go from 0 at most [m]."""
+    (nj) that slide go from 0 at most [m]. head_counts: a search counts the head on part and print though the nozzle may lean."""
 
     table: Table
     bodies: tuple[str, ...]
     trees: tuple[str, ...]
     around: Around | None
     slide_to: tuple[float, ...] = ()
+    head_counts: bool = False
 
     @property
     def any(self) -> bool:
@@ -190,8 +191,13 @@ class Obstacles:
 
     @property
     def but_head_on_part(self) -> Obstacles:
-        """Less the head's clearance from part and print, which tilt may give where the search cannot."""
-        return self._looking(~self.table.head_on_part)
+        """Less the head's clearance from part and print, which tilt may give where the search cannot; itself where that counts."""
+        return self if self.head_counts else self._looking(~self.table.head_on_part)
+
+    @property
+    def counting_head(self) -> Obstacles:
+        """The same for a search that keeps the head clear by itself, as if no tilt would."""
+        return replace(self, head_counts=True)
 
     @cached_property
     def but_round_on_part(self) -> Obstacles:

@@ -50,6 +50,7 @@ SAME_TIME = 1.01  # times the least cost within which the default's own plan is 
 SPEED_PRICE = 5.0  # 1 % of the length at speed is worth so many per cent of the print's time
 LONGER = 1.02  # times the least time, above which the ladder's paths are refined once more,
 HELD = "ladder, refined with ends held"
+CLEAR = "ladder with its head clear"  # though the nozzle may lean, which the usual search counts on
 HOLDS = 100.0  # times the usual price of ends of beads that move
 # Events in which the robot rests for as long whatever its joint paths are.
 WAITS = frozenset({"heat", "purge", "pause", "change", "cut"})
@@ -149,12 +150,19 @@ def _travel_share(own: PlannedPaths) -> float:
 def _simpler_paths(
     given: PlanningContext, own: PlannedPaths | None, waypoints: int
 ) -> Iterator[tuple[str, Sequence[JointPath]]]:
-    """Paths of the simpler strategies, refined and as they are, less those that keep to no cones or promise nothing."""
+    """Paths of the simpler strategies, refined and as they are, less those that keep to no cones or promise nothing. Where the
+    own plan failed and the nozzle may lean, first those of a search that does not count on that."""
     cell, settings, obstacles = given.cell, given.problem.resolve, given.obstacles
 
     def prices_of(paths: Sequence[JointPath]) -> list[Priced]:
         each = [(model_of(own), [paths[i] for i in which]) for own, which in nozzles_of(cell, paths)]
         return [price for model, mine in each for price in given_prices(model, mine, settings).values()]
+
+    if (own is None or not own.verified) and given.tasks[0].cones.tilt > 0.0:
+        with suppress(Refusal):
+            clear = STRATEGIES["ladder"](cell, given.tasks, settings, obstacles.counting_head)
+            yield CLEAR, clear
+            yield f"{CLEAR}, refined", refine_paths(cell, clear, settings, obstacles, given.terms)
 
     names: tuple[str, ...] = SIMPLER if given.start else SIMPLER[1:]  # what the ladder has refused it refuses again
     most, worth_refining = np.inf, np.inf

@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from planner.base.arrays import Array, Flags, Ints
 from planner.base.compiled import inner_njit, njit
+from planner.base.geometry import TURN
 from planner.base.processes import in_threads
 from planner.cell.cell import Cell
 from planner.cell.kinematics.chain import chain_state, largest_singular_value, mul4
 from planner.cell.kinematics.inverse import SPHERICAL_WRIST, branches_of, solve_one
 from planner.cell.kinematics.spherical_wrist import inverse_jacobian, sines_of
-from planner.resolve.joint_path import SampledTasks, at_rest, gone_along, leaned, least_cone, spread
+from planner.resolve.joint_path import MARGIN, SampledTasks, at_rest, gone_along, leaned, least_cone, spread
 from planner.resolve.prices import (
     BRANCH_PRICE,
     DIP_PRICE,
@@ -55,6 +56,7 @@ _CONE_ROOM = 0.95  # share of the cone that cells may use: the spline through th
 _CALM_LEAN = 0.7  # share of the cone beyond which a lean has a price
 _SPEED_SHARE = 0.7  # of an axis' speed that counts as its full speed: splines and accelerations need the rest
 _CALM_NEED = 0.7  # share of a joint's speed that the tip's may need for nothing
+_MOST_TURNS = 8  # that an axis has, whose range is searched as a whole
 _FARTHEST = np.radians([60.0, 90.0, 72.0])  # that tilt, rotation and heading may turn from rung to rung
 _MOST_VALUES = 5e7  # of the programme that are kept (4 bytes each); longer paths are searched in blocks, twice
 
@@ -103,12 +105,21 @@ def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) ->
 
     Where no angles keep to the cones, those that miss them least are taken.
     """
+    out, wound = _table_path(cell, tasks, demand, frozenset())
+    return _table_path(cell, tasks, demand, wound)[0] if wound else out
+
+
+def _table_path(
+    cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, whole: frozenset[int]
+) -> tuple[Array, frozenset[int]]:
+    """As `table_path`, and axes (joints of the holder) that it winds further along a bead than their range is, however they
+    are turned, unless their whole range is searched (`whole`) in place of a circle."""
     nh = len(cell.holder)
     axes = (nh - 2, nh - 1)
     home = at_rest(cell)
     cone = _CONE_ROOM * least_cone(demand.cones)
     step = float(np.clip(cone / _STEPS_IN_CONE, _FINEST, _COARSEST))
-    lattice = _lattice(cell, axes, step, home)
+    lattice = _lattice(cell, axes, step, home, whole)
     cells, middles = _cells(lattice, demand, cone)
     price = _posture_prices(cell, middles, max(task.speed for task in tasks))
     na = len(cell.arm)
@@ -119,13 +130,17 @@ def table_path(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks) ->
     longest = np.minimum(np.ceil(_FARTHEST / steps).astype(np.int64), [(n - 1) // 2 for n in size])
     near = np.array([np.argmin(np.abs(lattice.a - home[axes[0]])), np.argmin(np.abs(lattice.b - home[axes[1]]))])
     picked = _cheapest(cells, price, lattice.turns, Steps(steps, speed, np.maximum(longest, 1)), size, near)
-    out = np.tile(home, (len(demand.rung), 1))
+    out, wound = np.tile(home, (len(demand.rung), 1)), set[int]()
     for axis, angles, turns, index in zip(axes, lattice[:2], lattice.turns, picked.T, strict=False):
+        low, high = cell.limits.q_min[na + axis] + MARGIN, cell.limits.q_max[na + axis] - MARGIN
         for i in range(len(tasks)):
             rungs = demand.rungs_of(i)
             found = angles[index[rungs]]
             out[rungs, axis] = np.unwrap(found) if turns else found
-    return out
+            ends = out[rungs, axis].min(), out[rungs, axis].max()
+            if turns and ends[1] + TURN * np.ceil((low - ends[0]) / TURN) > high and high - low < _MOST_TURNS * TURN:
+                wound.add(axis)
+    return out, frozenset(wound)
 
 
 def carried(cell: Cell, tasks: Sequence[NozzleTask], demand: SampledTasks, held: Array) -> SampledTasks:
@@ -174,9 +189,9 @@ def _headed(z: Array) -> Array:
     return out
 
 
-def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array) -> Lattice:
-    """The lattice of two holder axes, the others at home (k)."""
-    angles, turns = zip(*(_angles(cell, axis, step) for axis in axes), strict=True)
+def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array, whole: frozenset[int]) -> Lattice:
+    """The lattice of two holder axes, the others at home (k); whole: axes of which all of the range counts."""
+    angles, turns = zip(*(_angles(cell, axis, step, axis in whole) for axis in axes), strict=True)
     a, b = np.meshgrid(*angles, indexing="ij")
     holder = np.tile(home[: len(cell.holder)], (a.size, 1))
     holder[:, axes[0]], holder[:, axes[1]] = a.ravel(), b.ravel()
@@ -184,11 +199,12 @@ def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array) -> Lat
     return Lattice(angles[0], angles[1], np.ascontiguousarray(T[:, :, 2, :3]), T, np.array([*turns, True]))
 
 
-def _angles(cell: Cell, axis: int, step: float) -> tuple[Array, bool]:
-    """Angles of a holder axis in its range, and whether they are the whole circle."""
+def _angles(cell: Cell, axis: int, step: float, whole: bool) -> tuple[Array, bool]:
+    """Angles of a holder axis in its range, and whether they are a circle: where it goes round, unless the whole range is
+    asked for."""
     joint = len(cell.arm) + axis
     low, high = cell.limits.q_min[joint], cell.limits.q_max[joint]
-    if high - low >= 2.0 * np.pi:
+    if high - low >= 2.0 * np.pi and not whole:
         n = int(np.ceil(2.0 * np.pi / step))
         return np.asarray(-np.pi + 2.0 * np.pi / n * np.arange(n)), True
     room = min(cell.limits.room, 0.25 * (high - low))
