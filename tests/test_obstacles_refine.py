@@ -319,6 +319,19 @@ def test_a_bead_that_ends_in_something_is_told_so(
     assert too_near(at_wall).endswith("where this bead begins, and no way from there is clear")
 
 
+def test_a_start_posture_in_something_is_refused_by_its_name(
+    problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath]
+) -> None:
+    away = bare.home.copy()
+    away[0] += 1.5
+    wall = Body("wall", Capsule(0.04, 0.5), at(head_at(bare, away)))
+    cell = replace(bare, fixtures=(wall,), home=away)
+    obstacles = obstacles_of(problem, cell, toolpath)
+    with pytest.raises(Refusal, match=r"and wall lack \d+\.\d mm of clearance at home$") as refused:
+        plan_travels(cell, timed, toolpath, problem.process, [0], obstacles)
+    assert refused.value.hints == ("another cell.home_deg, which keeps clear of part and print",)
+
+
 def test_ways_round_are_tried_until_one_is_clear(
     problem: Problem, bare: Cell, toolpath: Toolpath, timed: list[TimedPath], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -199,7 +199,7 @@ def _lattice(cell: Cell, axes: tuple[int, int], step: float, home: Array, whole:
     return Lattice(angles[0], angles[1], np.ascontiguousarray(T[:, :, 2, :3]), T, np.array([*turns, True]))
 
 
-def _angles(cell: Cell, axis: int, step: float, whole: bool) -> tuple[Array, bool]:
+def _angles(cell: Cell, axis: int, step: float, whole: bool = False) -> tuple[Array, bool]:
     """Angles of a holder axis in its range, and whether they are a circle: where it goes round, unless the whole range is
     asked for."""
     joint = len(cell.arm) + axis

@@ -145,6 +145,15 @@ def plan_travels(
         find = upright if process.travels_upright else with_time
         margins, _ = obstacles.margins(np.stack([start.q, end.q]), np.full(2, float(i)), _SPARE)
         least = float(margins.min(initial=_SPARE))
+        at_home = [leave is None, reach is None]
+        if least < -_DEEP and least == margins[at_home].min(initial=np.inf):
+            task = TravelTask(cell, ends, space, process.travel_speed, obstacles, float(i))
+            beside = leave if reach is None else reach
+            raise Refusal(
+                too_near(task, "at home"),
+                bead=None if beside is None else beside.path.task.bead,
+                hints=("another cell.home_deg, which keeps clear of part and print",),
+            )
         task = TravelTask(cell, ends, space, process.travel_speed, obstacles, float(i), least - _ROUNDED)
         motion = find(task)
         if motion is None and obstacles.any:
@@ -227,14 +236,15 @@ def no_way(task: TravelTask, find: Callable[[TravelTask], Cubics | None]) -> str
     return f"collision of {one} with {other} on the way to or from this bead, and no way round was found"
 
 
-def too_near(task: TravelTask) -> str:
-    """Which bodies lack clearance where a travel starts or ends, and how much."""
+def too_near(task: TravelTask, place: str = "") -> str:
+    """Which bodies lack clearance where a travel starts or ends, and how much; place: where that is, in words, if it is not
+    a bead's end."""
     both = np.stack([task.ends.start.q, task.ends.end.q])
     margins, which = task.obstacles.margins(both, np.full(2, task.now), _SPARE)
     k = int(margins.argmin())
     one, other = task.obstacles.names(int(which[k]))
-    place = "begins" if k else "ends"
-    return f"{one} and {other} lack {-1e3 * margins[k]:.1f} mm of clearance where this bead {place}, and no way from there is clear"
+    where = place or f"where this bead {'begins' if k else 'ends'}, and no way from there is clear"
+    return f"{one} and {other} lack {-1e3 * margins[k]:.1f} mm of clearance {where}"
 
 
 def _least(process: ProcessSpec, toolpath: Toolpath, leave: TimedPath | None, reach: TimedPath | None) -> float:
