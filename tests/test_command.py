@@ -643,8 +643,8 @@ def nothing_runs_in(folder: Path) -> None:
 PLACES = {
     "before the resolving": ("planner.planning.context", "tasks_of", True),
     "before the verifying": ("planner.planning.pipeline", "verify", True),
-    "between robot code and report": ("planner.planning.pipeline", "write_robot_code", False),
-    "when all is written aside": ("planner.planning.pipeline", "write_plan", False),
+    "between robot code and report": ("planner.planning.files", "write_robot_code", False),
+    "when all is written aside": ("planner.planning.files", "write_plan", False),
 }
 
 
