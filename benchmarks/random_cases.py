@@ -6,8 +6,8 @@ python -m benchmarks.random_cases turntable_17 --write out/cases         writes 
 
 The promises: if another strategy verifies a case, the default does (not verified); its share at speed is less by 0.1 %
 of the length at most (slower); its print takes at most 1.02 times as long (longer). With --brute, cases that no
-strategy verifies are searched by brute force, too (minutes for each): where that finds a continuous motion, nobody
-should have refused (refused). The exit code is 1 where one of them is broken.
+strategy verifies are searched by brute force, too (minutes for each): where that finds a continuous motion along which
+a plan is verified, nobody should have refused (refused). The exit code is 1 where one of them is broken.
 
 Cases with a line in the file of --out, of the same strategies, are not run again: what was interrupted goes on, and
 another commit needs another file. The last line of a case counts.
@@ -66,7 +66,7 @@ class Outcome:
 class Result:
     """A case as every strategy ended.
 
-    possible  whether brute force found a motion; None where it was not asked
+    possible  whether brute force found a motion along which a plan is verified; None where it was not asked
     brute     what it says
     """
 
@@ -152,14 +152,14 @@ def searched(case: Case, result: Result) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         problem = load(case.write(Path(folder)))
         found = find_motion(problem)
-        words = found.words
+        words, possible = found.words, False
         if found:
             try:
-                report = plan_along(problem, found.motion)
-                words += f"; a plan along it: {failed(report.checks) or 'verified'}"
+                wrong = failed(plan_along(problem, found.motion).checks)
+                words, possible = f"{words}; a plan along it: {wrong or 'verified'}", not wrong
             except Refusal as refusal:
                 words += f"; a plan along it: {refusal}"
-    return replace(result, possible=bool(found), brute=words)
+    return replace(result, possible=possible, brute=words)
 
 
 def failed(checks: Iterable[Check]) -> str:
