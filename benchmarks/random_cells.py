@@ -214,10 +214,8 @@ def rail(rng: Generator) -> Stand:
     along = float(rng.uniform(300.0, 2700.0))
     at = np.array([along, forward, up + TRACK_HEIGHT])
     cell: dict[str, Any] = {**_arm(rng, name), "bed_mm": _rounded(at, 1)}
-    cell["home_deg"] = [
-        round(cell["home_deg"][0] + 90.0 * (1 if cell["home_deg"][0] < 0.0 else -1), 1),
-        *ARMS[name].home[1:],
-    ]
+    first = cell["home_deg"][0]  # aside of x; the part stands along y
+    cell["home_deg"] = [round(float(first - np.copysign(90.0, first)), 1), *ARMS[name].home[1:]]
     rests = float(np.clip(along + rng.choice([0.0, 5.0]) * aside, 50.0, 2950.0))
     cell["base"] = {"robot": "track_3m", "free": ["rail"], "home_mm": {"rail": round(rests, 1)}}
     if rng.random() < 0.3:

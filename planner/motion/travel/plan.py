@@ -316,7 +316,7 @@ def quickest(task: TravelTask) -> Cubics | None:
             vias = next(roundabout, None)
             if vias is None:
                 return None
-            push(0.0, _resting(task, partial(_as_they_are, vias), 0.0), free)
+            push(0.0, _resting(task, partial(list, vias), 0.0), free)
             continue
         bound, _, way, caps, built, tries = heapq.heappop(queue)
         if built is None:
@@ -353,13 +353,11 @@ def _resting(
     return TravelWay(build, bound, instead, vias)
 
 
-def _as_they_are(vias: Sequence[Array]) -> Sequence[Array]:
-    return vias
-
-
 def cut_short(task: TravelTask, vias: Sequence[Array], resting: Cubics) -> Cubics:
-    """A way that is clear and rests at postures (nj); or a shorter one, where there is much to be saved, and that is clear,
-    too, and quicker. Who knows of no obstacles keeps to ways that go far round."""
+    """A way that is clear and rests at postures (nj), or a shorter one that is clear and quicker, if that may save much.
+
+    Where no obstacles are known nothing is cut: a way that goes far round is more likely to be clear of them.
+    """
     direct = ways.straight(task.cell, replace(task.ends, least=0.0), free_caps(task.cell))
     chord = float(np.linalg.norm(task.room.tips[1] - task.room.tips[0])) / task.speed
     least = max(chord, task.ends.least, 0.0 if direct is None else direct.motion.duration)
