@@ -39,7 +39,7 @@ SLOPE = 0.25  # of the distance from the tip, that is kept
 MOST = 8_000  # places of the tip at which is looked
 
 
-@njit(cache=True)
+@njit
 def _from_edge(h: float, r: float, h0: float, r0: float, h1: float, r1: float) -> float:
     """Distance of (h, r) from the line between two points of an outline."""
     dh, dr = h1 - h0, r1 - r0
@@ -47,7 +47,7 @@ def _from_edge(h: float, r: float, h0: float, r0: float, h1: float, r1: float) -
     return math.sqrt((h - h0 - share * dh) ** 2 + (r - r0 - share * dr) ** 2)
 
 
-@njit(cache=True)
+@njit
 def _from_nozzle(h: float, r: float, outline: Array) -> float:
     """Signed distance of a place at height h above the tip and r beside the axis from the nozzle, negative inside."""
     least, inside = math.sqrt(h * h + max(r - outline[0, 1], 0.0) ** 2), False
@@ -60,7 +60,7 @@ def _from_nozzle(h: float, r: float, outline: Array) -> float:
     return -least if inside else least
 
 
-@njit(cache=True)
+@njit
 def _lacking(
     tips: Array, axes: Array, before: Array, middles: Array, along: Array, radius: float, outline: Array, slack: float
 ) -> tuple[Array, Ints]:

@@ -12,9 +12,9 @@ from pathlib import Path
 from zlib import crc32
 
 import pytest
-from compiling import take_turns
 from hypothesis import HealthCheck, settings
 
+from planner.base.compiled import compile_sparingly
 from planner.cell.cell import Cell, build_cell
 from planner.collision.scene import NOTHING
 from planner.motion.timing.timed_path import TimedPath, time_path
@@ -40,7 +40,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN and threading.current_threa
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 if "PYTEST_XDIST_WORKER" in os.environ:
-    take_turns()
+    compile_sparingly()
 
 # Files to begin with. The first ones compile different kernels, and what starts processes of its own finds them compiled;
 # those that take long come before those that do not, so that no worker waits for another one at the end.

@@ -23,7 +23,7 @@ CALLEE = """
 from planner.base.compiled import njit
 from constants import STEP
 
-@njit(cache=True)
+@njit
 def inner(x):
     return {0} * x + STEP
 """
@@ -31,7 +31,7 @@ CALLER = """
 from planner.base.compiled import njit
 from callee import inner
 
-@njit(cache=True)
+@njit
 def outer(x):
     return inner(x)
 """
@@ -82,7 +82,7 @@ TAKER = """
 from planner.base.compiled import njit
 from kinds import Outer
 
-@njit(cache=True)
+@njit
 def outer(both):
     return both.inner.x
 """
@@ -141,7 +141,7 @@ def test_an_arm_compiles_the_solver_of_its_own_kind_alone(tmp_path: Path) -> Non
 
 
 def test_what_is_called_by_its_address_takes_arrays_in_order_alone() -> None:
-    @njit()
+    @njit
     def call(address, values):
         call_at(address, (values, values.size))
 

@@ -148,7 +148,7 @@ def test_kernels_compile_without_a_cache(monkeypatch: pytest.MonkeyPatch, capsys
     monkeypatch.setattr(caching.FunctionCache._impl_class, "_locator_classes", [])
     compiled._tell_once.cache_clear()
 
-    @compiled.njit(cache=True)
+    @compiled.njit
     def doubled(x: float) -> float:
         return 2.0 * x
 

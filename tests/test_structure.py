@@ -285,6 +285,31 @@ def test_functions_have_few_parameters() -> None:
     assert not wrong
 
 
+def test_python_calls_no_inner_kernel() -> None:
+    """Called from Python, an inner kernel is compiled anew by every process (see `inner_njit`)."""
+    kernels = {f"planner.{dotted(path)}.{name}": kind for path in FILES for name, kind in kernels_of(path).items()}
+    wrong = []
+    for path in FILES:
+        own = kernels_of(path)
+        known = {name: f"planner.{dotted(path)}.{name}" for name in own}
+        for node in nodes(path):
+            if isinstance(node, ast.ImportFrom):
+                known |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+        inner = {name for name, full in known.items() if kernels.get(full) == "inner_njit"}
+        plain = [node for node in tree(path).body if getattr(node, "name", "") not in own]
+        calls = [node for statement in plain for node in ast.walk(statement) if isinstance(node, ast.Call)]
+        wrong += [f"{dotted(path)}:{c.lineno} {ast.unparse(c.func)}" for c in calls if ast.unparse(c.func) in inner]
+    assert not wrong
+
+
+@cache
+def kernels_of(path: Path) -> dict[str, str]:
+    """The decorator of each compiled function of a file."""
+    functions = [node for node in tree(path).body if isinstance(node, ast.FunctionDef)]
+    decorators = [(node.name, ast.unparse(each).split("(")[0]) for node in functions for each in node.decorator_list]
+    return {name: decorator for name, decorator in decorators if decorator in ("njit", "inner_njit")}
+
+
 def test_a_class_has_a_name_of_its_own() -> None:
     where: dict[str, list[str]] = {}
     for path in FILES:

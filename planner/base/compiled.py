@@ -7,8 +7,8 @@ import hashlib
 import inspect
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from contextlib import contextmanager, suppress
+from functools import cache, partial
 from multiprocessing import Value
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,14 @@ from llvmlite import ir
 from numba import carray as np_carray  # type: ignore[attr-defined]
 from numba.core import errors, event, sigutils, types
 from numba.core.ccallback import CFunc
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.dispatcher import Dispatcher
 from numba.core.registry import CPUDispatcher
 from numba.core.targetconfig import TargetConfig
 from numba.extending import intrinsic
+
+if sys.platform != "win32":
+    import fcntl
 
 array_at: Any = np_carray  # in a kernel: the array of a shape at a pointer, in C's order
 
@@ -29,35 +34,33 @@ SECONDS_A_KERNEL = 0.5  # of compiling, on two cores of a server of 2024: some 2
 WORTH_TELLING = 10  # kernels: fewer are there in a few seconds
 
 
-def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As `numba.njit`; where numba finds no folder for its cache, the kernel is compiled without one, and that is told.
+# A division by zero gives what it gives in NumPy, kernels let other threads run, and what they compile is kept on disk.
+# That all have the same options spares a tenth of all compiling: numba compiles its own functions for each set of them.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True, "boundscheck": None, "no_cfunc_wrapper": True}
+
+
+def njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """As `numba.njit` with a cache; where numba finds no folder for it, the kernel is compiled without, and that is told.
 
     numba looks in the folder NUMBA_CACHE_DIR, beside the sources, and in the user's cache folder. What it finds there is
     used if nothing has changed that the kernel is made of: numba by itself looks at the kernel's own file alone, and goes
     on with old code of kernels and constants of other files.
     """
-    cached = options.pop("cache", False)
-    options |= {"no_cfunc_wrapper": True}  # nobody calls one from C
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        kernel = numba.njit(**options)(function)
-        return _cached(kernel) if cached else kernel
-
-    return decorate
+    if function is None:
+        return partial(njit, **options)
+    return _cached(numba.njit(**_OPTIONS, **options)(function))
 
 
-def inner_njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """As `njit` with a cache, for kernels that other kernels call.
+def inner_njit(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """As `njit`, for kernels that only other kernels call.
 
     They lack the code by which Python calls a kernel, which would be compiled with them, and again with each kernel that
-    calls them. Called from Python all the same, they go through a kernel that is compiled for that.
+    calls them. Called from Python all the same, as tests do, they go through a kernel that is compiled for that each time.
     """
-    options |= {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        return _cached(_InnerDispatcher(function, targetoptions=options))
-
-    return decorate
+    if function is None:
+        return partial(inner_njit, **options)
+    targetoptions = {**_OPTIONS, "nopython": True, "no_cpython_wrapper": True, **options}
+    return _cached(_InnerDispatcher(function, targetoptions=targetoptions))
 
 
 class _InnerDispatcher(CPUDispatcher):  # type: ignore[misc]
@@ -175,6 +178,39 @@ call_at: Any = intrinsic(_call_at)
 # How long it takes.
 
 
+def compile_sparingly() -> None:
+    """From now on in this process a kernel that another process compiles is waited for, and loaded; numba by itself would
+    compile it beside that. And options of kernels are compared quickly."""
+    compare_options_quickly()
+    if sys.platform != "win32":
+        Dispatcher.compile = _compile_in_turn  # type: ignore[method-assign]
+
+
+_compile = Dispatcher.compile
+_locked: set[str] = set()  # by this process: a kernel that is compiled may ask for itself again
+
+
+def _compile_in_turn(self: Any, sig: Any) -> Any:
+    kept = getattr(self._cache, "_impl", None)  # numba's own functions are kept nowhere
+    if kept is None or sig in self.overloads:
+        return _compile(self, sig)
+    kept.locator.ensure_cache_path()
+    path = f"{kept.locator.get_cache_path()}/{kept.filename_base}.lock"
+    with global_compiler_lock:  # first, so that no thread waits for the file while another one needs this
+        if path in _locked:
+            return _compile(self, sig)
+        with open(path, "w", encoding="utf-8") as file:
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+            _locked.add(path)
+            try:
+                return _compile(self, sig)
+            finally:
+                _locked.discard(path)
+                with suppress(OSError):
+                    fcntl.flock(file, fcntl.LOCK_UN)  # a process that was forked meanwhile has the file open, too
+
+
 def compare_options_quickly() -> None:
     """From now on in this process numba compares the options of kernels by those that were set.
 
@@ -228,9 +264,9 @@ def while_compiling(begun: Callable[[int, float], Callable[[int], None]]) -> Ite
 
     begun: told how many kernels there are to compile, and about how long that takes [s]; what it returns is told after each
     kernel how many of them are there, those of other processes too. It is not told of a few, and once by all processes
-    that are forked in the block. What is compiled comes sooner, see `compare_options_quickly`.
+    that are forked in the block. What is compiled comes sooner, see `compile_sparingly`.
     """
-    compare_options_quickly()
+    compile_sparingly()
     with event.install_listener("numba:compile", _Listener(begun)):
         yield
 
@@ -296,4 +332,4 @@ def _not_there() -> list[Any]:
 
 def _is_ours(value: Any) -> bool:
     function = getattr(value, "py_func", None)
-    return getattr(function, "__module__", "").startswith("planner.")
+    return getattr(function, "__module__", "").startswith("planner.") and function.__module__ != __name__

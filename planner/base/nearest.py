@@ -43,7 +43,7 @@ def distance_to_polyline(points: Array, polyline: Array) -> Array:
     return found
 
 
-@njit(cache=True)
+@njit
 def _distances(points: Array, polyline: Array, nearest: NDArray[np.intp]) -> Array:
     """Distances (n) to the segments at each point's nearest vertices (n, k)."""
     out = np.empty(len(points))

@@ -27,7 +27,7 @@ def least_singular_values(matrices: Array) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _fill(matrices: Array, out: Array) -> None:
     """Of each tall matrix (n, r, c)."""
     n, r, c = matrices.shape
@@ -39,7 +39,7 @@ def _fill(matrices: Array, out: Array) -> None:
         out[i] = least_singular_value(A, q, e)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def least_singular_value(A: Array, q: Array, e: Array) -> float:
     """Of one tall matrix A (r, c), which is lost; NaN if a number in it is not finite. q and e (c) are room."""
     r, c = A.shape
@@ -53,7 +53,7 @@ def least_singular_value(A: Array, q: Array, e: Array) -> float:
     return np.sqrt(_least_eigenvalue(q, e))
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _bidiagonal(A: Array, q: Array, e: Array) -> None:
     """Turn a tall A (r, c) into a bidiagonal matrix with the same singular values; A is lost.
 
@@ -95,7 +95,7 @@ def _bidiagonal(A: Array, q: Array, e: Array) -> None:
                     A[i, j] -= along * A[k, j]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _least_eigenvalue(q: Array, e: Array) -> float:
     """Smallest eigenvalue of B^T B, where q (c) are the squares of B's diagonal and e (c) of those beside it."""
     c, x, low, high = q.size, 0.0, 0.0, np.inf

@@ -20,7 +20,7 @@ _ZERO: Any = np.int64(0)  # a plain 0 is a type of its own, for which kernels wo
 _TOUCHING = 1e-7  # m: nearer solids overlap
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _support(kind, size, span, vertices, pose, b, dx, dy, dz):
     """The point (three numbers) of body b that is farthest along a direction of the world."""
     x = pose[b, 0, 0] * dx + pose[b, 1, 0] * dy + pose[b, 2, 0] * dz
@@ -54,7 +54,7 @@ def _support(kind, size, span, vertices, pose, b, dx, dy, dz):
     )
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _on_triangle(S, a, b, c):
     """Shares of the corners in the point of a triangle (rows of S) that is nearest to the origin: Ericson, 5.1.5."""
     d1, d2, d3, d4, d5, d6 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -90,7 +90,7 @@ def _on_triangle(S, a, b, c):
     return 1.0 - (vb + vc) / total, vb / total, vc / total
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _beyond(S, a, b, c, d):
     """Whether the origin lies on the other side of the plane a, b, c than d, or d lies in that plane (rows of S)."""
     x, y, z = S[b, 0] - S[a, 0], S[b, 1] - S[a, 1], S[b, 2] - S[a, 2]
@@ -101,7 +101,7 @@ def _beyond(S, a, b, c, d):
     return own * other <= 0.0
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _nearest(S, n):
     """Shares of the corners (rows 0 to n of S) in the point of a simplex that is nearest to the origin, and whether the
     simplex encloses it."""
@@ -141,7 +141,7 @@ def _nearest(S, n):
     return out
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def solids_distance(kind, size, span, vertices, pose, a, b, enough, little, way, k, S):
     """Distance [m] of bodies a and b, exact between `little` and `enough`: beyond these only a bound, on the right
     side of them. Overlapping solids: 0 less their radii.

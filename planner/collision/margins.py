@@ -28,7 +28,7 @@ _DEEPEST = 128  # intervals that wait at once: twice the halvings of as many pos
 SUNK = 20e-3  # m: of points that lie deeper in a body any will do; to find the deepest takes a hundred times as long
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _frames(placements, axes, na, q, row, frames, lines) -> None:
     """Fill frames and lines for the posture in a row of q."""
     for j in range(len(axes)):
@@ -56,7 +56,7 @@ def _frames(placements, axes, na, q, row, frames, lines) -> None:
             frames[j + 1, i, 3] = b3
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _middles(frame, ball, frames, middle, known) -> None:
     for b in range(len(frame)):
         f = frame[b]
@@ -66,14 +66,14 @@ def _middles(frame, ball, frames, middle, known) -> None:
         known[b] = False
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def put(table, room, q, row) -> None:
     """Bring everything to the posture in a row of q."""
     _frames(table.placements, table.axes, table.arm[0], q, row, room.frames, room.lines)
     _middles(table.frame, table.ball, room.frames, room.middle, room.known)
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
     """The pose of a body's solid in the world, if it is not known."""
     if known[b]:
@@ -88,7 +88,7 @@ def place_solid(frames, frame, T_frame_solid, pose, known, b) -> None:
             pose[b, i, j] = total
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def outside(kind, size, pose, middle, b, other):
     """A bound of how far outside of body b the middle of another one lies [m]."""
     if kind[b] == HULL:
@@ -108,7 +108,7 @@ def outside(kind, size, pose, middle, b, other):
     return np.sqrt(r * r + w * w)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def part_by_middles(middle, a, b, way, k, S) -> None:
     """After `solids_distance` of a pair k: solids that overlap are apart by their middles."""
     if way[k, 0] == 0.0 and way[k, 1] == 0.0 and way[k, 2] == 0.0:
@@ -117,7 +117,7 @@ def part_by_middles(middle, a, b, way, k, S) -> None:
             S[0, 3 + m], S[0, 6 + m] = middle[a, m], middle[b, m]
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def over_pairs(table, room, first, last, enough, stop):
     """The least margin of pairs first .. last, if below `enough` [m], and which has it, or -1: exact, or with `stop`
     the first one below, told no better than that."""
@@ -150,7 +150,7 @@ def over_pairs(table, room, first, last, enough, stop):
     return best, which
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _into_tree(frames, tree_frame, T_frame_tree, middle, tip, last, few, b, t) -> None:
     """Fill rows of `few` with a body's middle and the nozzle's tip in a tree's frame."""
     f = tree_frame[t]
@@ -170,7 +170,7 @@ def _into_tree(frames, tree_frame, T_frame_tree, middle, tip, last, few, b, t) -
             few[row, k] = T_frame_tree[t, 0, k] * u + T_frame_tree[t, 1, k] * v + T_frame_tree[t, 2, k] * w
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
     """Fill out (4, 4) with what takes points of a tree's frame into a body's solid."""
     f = tree_frame[t]
@@ -188,7 +188,7 @@ def _solid_from_tree(frames, tree_frame, T_frame_tree, pose, b, t, out) -> None:
             out[i, j] = pose[b, 0, i] * x + pose[b, 1, i] * y + pose[b, 2, i] * z
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     """The same of bodies looked at by trees, whose points are there before `now`; and the point, or -1.
 
@@ -239,7 +239,7 @@ def over_looks(table, room, begin, end, now, enough, stop, on_part, off_part):
     return best, which, point
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def first_lacking(table, room, q, row, now, more, head_on_part):
     """The first pair that lacks clearance at a row of q, or -1: pairs of bodies, then from p on those with trees.
 
@@ -259,7 +259,7 @@ def first_lacking(table, room, q, row, now, more, head_on_part):
     return p + which if which >= 0 else -1
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def head_lacking(table, room, q, row, now):
     """Which pair of head and part lacks clearance at a row of q, as in `first_lacking`, or -1.
 
@@ -270,7 +270,7 @@ def head_lacking(table, room, q, row, now):
     return len(table.pair) + which if which >= 0 else -1
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def least_margin(table, room, q, row, now, enough, more):
     """The least margin at a row of q, if below `enough` [m], and which pair has it, as in `first_lacking`, or -1.
 
@@ -307,7 +307,7 @@ class ToSpare(NamedTuple):
     shifted: Array
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def room_to_spare(table):
     """Nothing to spare yet."""
     b, t = len(table.frame), len(table.tree_frame)
@@ -315,7 +315,7 @@ def room_to_spare(table):
     return ToSpare(spare, np.zeros((1 + len(table.axes), 3, 4)), np.zeros(b), np.zeros(t))
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _moved(frames, old, frame, x, y, z, reach):
     """How far a place of a ball around a point of a frame has moved at most [m]: its middle, and the turn's chord."""
     square, chord = 0.0, 0.0
@@ -330,7 +330,7 @@ def _moved(frames, old, frame, x, y, z, reach):
     return np.sqrt(square) + reach * np.sqrt(0.5 * chord)
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def let_go(table, room, past) -> None:
     """Reduce each stored lower bound by how far its two bodies have moved since the previous posture."""
     frame, ball, pair, look, first = table.frame, table.ball, table.pair, table.look, table.first
@@ -359,7 +359,7 @@ def let_go(table, room, past) -> None:
                 old[f, i, j] = frames[f, i, j]
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def spared_pairs(table, room, past, begin, end, enough, stop):
     """The least margin of pairs begin .. end, exact if below `enough` [m], and which has it, or -1; with `stop` the
     first one below. What has enough to spare is passed over, and what the others have is kept."""
@@ -394,7 +394,7 @@ def spared_pairs(table, room, past, begin, end, enough, stop):
     return best, which
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def spared_looks(table, room, past, begin, end, now, late, enough, stop):
     """The same of looks, and the point, or -1; without `stop` more looks may have to be asked for, from the next one on.
 
@@ -421,7 +421,7 @@ def spared_looks(table, room, past, begin, end, now, late, enough, stop):
 # Compiled: margins of many postures, and of the motion between them.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def least_margins(table, q, now, enough, more, margin, which) -> None:
     """`least_margin` of postures q (n, nj) at times now (n) into margin and which (n)."""
     room = workspace_for(table)
@@ -441,7 +441,7 @@ def least_margins(table, q, now, enough, more, margin, which) -> None:
         margin[i], which[i] = best, found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def lacking_at(table, q, now, lacking) -> None:
     """Which pairs, and then looks, lack clearance at postures q (n, nj) at a time of the print, into lacking (n, p + k)."""
     room, p = workspace_for(table), len(table.pair)
@@ -453,7 +453,7 @@ def lacking_at(table, q, now, lacking) -> None:
             lacking[i, p + k] = over_looks(table, room, k, k + 1, now, 0.0, YES, YES, YES)[1] >= 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def hit_along(table, q, gone, now, allowed, enough):
     """The first pair found whose margin falls below `allowed` [m] along postures q (n, nj), or -1.
 
@@ -493,7 +493,7 @@ def hit_along(table, q, gone, now, allowed, enough):
 _STEP = 1e-6  # m, of the differences that give the direction of a solid's distance
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
     """Add to slope how fast a place of the world, three numbers, that moves with a frame goes along a normal, three
     numbers too, times a sign."""
@@ -508,7 +508,7 @@ def _add_slope(lines, na, frame, normal, at, sign, slope, row, col) -> None:
         slope[row, col, j] += sign * (n0 * (d1 * w - d2 * v) + n1 * (d2 * u - d0 * w) + n2 * (d0 * v - d1 * u))
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _pair_slope(table, room, k, slope, row, col) -> None:
     """Fill slope[row, col] (nj) with the change of a pair's margin by the joints, after `over_pairs` found it."""
     slope[row, col] = 0.0
@@ -523,7 +523,7 @@ def _pair_slope(table, room, k, slope, row, col) -> None:
     _add_slope(room.lines, na, b, (x, y, z), (S[0, 6], S[0, 7], S[0, 8]), -1.0, slope, row, col)
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def _look_slope(table, room, k, point, slope, row, col) -> None:
     """The same of a body and a point of a tree, after `over_looks` found it; the tip stays on the part."""
     slope[row, col] = 0.0
@@ -552,7 +552,7 @@ def _look_slope(table, room, k, point, slope, row, col) -> None:
     _add_slope(room.lines, na, table.frame[b], along, at, -1.0, slope, row, col)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _greatest(margin, row):
     worst = 0
     for k in range(margin.shape[1]):
@@ -561,7 +561,7 @@ def _greatest(margin, row):
     return worst
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def nearest_margins(table, q, now, wanted, enough, enough_of_points, margin, slope, which) -> None:
     """The least margins below `enough` [m] at postures q (n, nj) where wanted (n), at most m of each, and their slopes.
 

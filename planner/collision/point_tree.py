@@ -108,7 +108,7 @@ def point_tree(points: Array, radius: Array | float = 0.0, time: Array | float =
     )  # fmt: skip
 
 
-@njit(cache=True)
+@njit
 def _build(points, radius, time, order, centre, reach, since, left, right):
     """Fill the nodes and sort `order`; returns the number of nodes. Halved across the longest side of the points' box."""
     n = order.size
@@ -144,7 +144,7 @@ def _build(points, radius, time, order, centre, reach, since, left, right):
     return count
 
 
-@inner_njit()
+@inner_njit
 def _halve(points, axis, order, a, b, middle):
     """Sort order[a:b] so far that no point before `middle` lies beyond any from there on, along an axis (quickselect)."""
     low, high = a, b - 1
@@ -168,7 +168,7 @@ def _halve(points, axis, order, a, b, middle):
             break
 
 
-@inner_njit(error_model="numpy", inline="never")
+@inner_njit(inline="never")
 def solid_distance(kind, size, planes, x, y, z):
     """Signed distance [m] of a point in a solid's own frame from it (see `Packed`); of a hull it is a lower bound."""
     if kind == BOX:
@@ -200,7 +200,7 @@ def solid_distance(kind, size, planes, x, y, z):
     return worst
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def point_value(tree, i, solid, T_solid_tree, tip, rule):
     """The value of a point, by its place in the tree's order, that `nearest_point` looks for the least of."""
     points = tree.points
@@ -209,7 +209,7 @@ def point_value(tree, i, solid, T_solid_tree, tip, rule):
     return min(value, d + rule.graze) if tree.time[i] == FROM_THE_START else value
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room):
     """Least value over the points that are there before time `now` of
 
@@ -269,7 +269,7 @@ def nearest_point(tree, solid, T_solid_tree, tip, rule, now, enough, deep, room)
     return best, found
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, distance, point) -> None:
     """Distances (n) of a solid at poses (n, 4, 4) from the points that are there before times now (n), `most` at most,
     and the points (n) that have them, or -1; beyond `exact` any that is about as far.
@@ -317,7 +317,7 @@ def least_distances(tree, solid, T_solid_tree, now, exact, most, share, room, di
         known = found if found >= 0 else known
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _apart(points, i, kind, size, planes, T):
     """Signed distance of a point, i of (n, 3), from a solid in whose frame it is brought by T (4, 4)."""
     x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -329,13 +329,13 @@ def _apart(points, i, kind, size, planes, T):
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(inline="always")
 def _between(points, i, p):
     """Distance of a point, i of (n, 3), from p (3)."""
     return np.sqrt((points[i, 0] - p[0]) ** 2 + (points[i, 1] - p[1]) ** 2 + (points[i, 2] - p[2]) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def search_room():
     """Room that a search needs; one for each thread."""
     return SearchRoom(np.empty(_DEEP, dtype=np.int64), np.empty(_DEEP))

@@ -68,7 +68,7 @@ def _strips(tip: Array, foot: Array, top: Array, wide: Array) -> Array:
 _MIXES = 0x9E3779B97F4A7C15  # odd, and of 2**64 the golden ratio's part: keys in a row land far apart
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def split(triangles, longest):
     """The same surface (n, 3, 3) in triangles without a longer side: each is halved across its longest one."""
     done, count = np.empty((max(4 * len(triangles), 16), 3, 3)), 0
@@ -108,14 +108,14 @@ def split(triangles, longest):
     return out
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _copy(triangle, out):
     for k in range(3):
         for x in range(3):
             out[k, x] = triangle[k, x]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def merged(triangles, size):
     """One of the corners of triangles (n, 3, 3) in each cube of a grid with cubes of that size: points (m, 3), and the
     distance (m) from which no place of the surface that is theirs is farther."""
@@ -161,13 +161,13 @@ def merged(triangles, size):
     return points, reach
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _apart(a, b):
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     return np.sqrt(x * x + y * y + z * z)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _farthest(t):
     """Distance that no place of a triangle (3, 3) exceeds from the nearest of its corners."""
     a, b, c = _apart(t[0], t[1]), _apart(t[1], t[2]), _apart(t[2], t[0])

@@ -89,7 +89,7 @@ class Workspace(NamedTuple):
     last: Ints
 
 
-@inner_njit()
+@inner_njit
 def workspace_for(table):
     """A thread's room."""
     nj, b = len(table.axes), len(table.frame)

@@ -133,7 +133,7 @@ USUAL_STEP = 8  # samples by which the first primitive of a stretch is lengthene
 HOPELESS = 4.0  # tolerances beyond which an arc's height is not corrected
 
 
-@inner_njit()
+@inner_njit
 def great_arc(a: Array, b: Array) -> tuple[float, float]:
     """Angle [rad] between the quaternions of poses a and b, 0 if it hardly matters, and the sign that b takes."""
     dot = 0.0
@@ -146,7 +146,7 @@ def great_arc(a: Array, b: Array) -> tuple[float, float]:
 # Loops stand in kernels where slices would do: those take seconds each to compile.
 
 
-@inner_njit()
+@inner_njit
 def _first_from(values: Array, low: int, high: int, value: float) -> int:
     """The first of values[low] to values[high - 1], ascending, that is not below `value`; `high` where none is."""
     while low < high:
@@ -164,14 +164,14 @@ _NONE: Any = np.int64(-1)
 _USUAL: Any = np.int64(USUAL_STEP)
 
 
-@inner_njit()
+@inner_njit
 def _copy(source: Indices, first: int, count: int, target: Indices, to: int) -> None:
     """Copy `count` numbers of `source`, from `first` on, into `target`, from `to` on."""
     for j in range(count):
         target[to + j] = source[first + j]
 
 
-@inner_njit()
+@inner_njit
 def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bool:
     """The arc from sample a to b through the middle of the path between, `raised` [m] higher over its chord.
 
@@ -217,7 +217,7 @@ def _circle(way: SampledWay, a: int, b: int, raised: float, circle: Array) -> bo
     return True
 
 
-@inner_njit()
+@inner_njit
 def _lean(lx: float, ly: float, lz: float, p: Array, q: Array) -> float:
     """Tangent of the angle between a direction and the step from pose p to q; 0 where one has no direction."""
     sx, sy, sz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -230,7 +230,7 @@ def _lean(lx: float, ly: float, lz: float, p: Array, q: Array) -> float:
     return sine / cosine if cosine > 0.0 else np.inf
 
 
-@inner_njit()
+@inner_njit
 def _worst(out: Array) -> float:
     worst = 0.0
     for j in range(len(out)):
@@ -238,7 +238,7 @@ def _worst(out: Array) -> float:
     return worst
 
 
-@inner_njit()
+@inner_njit
 def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: Array) -> tuple[float, float]:
     """How far a line, or where circle[0] > 0 an arc, misses samples a to b: into out (8), in tolerances, by TERMS.
 
@@ -313,7 +313,7 @@ def _measure(way: SampledWay, a: int, b: int, circle: Array, most: float, out: A
     return over, under
 
 
-@inner_njit()
+@inner_njit
 def _fits(way: SampledWay, a: int, b: int, arcs: bool, most: float, circle: Array, out: Array) -> tuple[int, float]:
     """Whether a line, or else an arc, meets samples a to b within `most` tolerances, and how far it misses.
 
@@ -338,7 +338,7 @@ def _fits(way: SampledWay, a: int, b: int, arcs: bool, most: float, circle: Arra
     return NONE, worst
 
 
-@njit(cache=True)
+@njit
 def _misfits(way: SampledWay, first: Indices, last: Indices, circular: Flags, via: Array) -> Array:
     """`misfits`."""
     found, circle, up, across = np.zeros((len(first), len(TERMS))), np.zeros(11), np.zeros(3), np.zeros(3)
@@ -384,7 +384,7 @@ class _Scratch(NamedTuple):
     targets: Indices
 
 
-@inner_njit()
+@inner_njit
 def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float, s: _Scratch) -> int:
     """The farthest sample, up to `end`, that one primitive from sample a reaches; `end` may lie before a.
 
@@ -406,7 +406,7 @@ def _reach(way: SampledWay, a: int, end: int, step: int, arcs: bool, most: float
     return good
 
 
-@inner_njit()
+@inner_njit
 def _stretch(way: SampledWay, first: int, last: int, arcs: bool, most: float, s: _Scratch) -> int:
     """Targets from sample first to last into s.ahead, both among them: the fewest; returns how many primitives.
 
@@ -456,7 +456,7 @@ WIDER = 1.26  # times as wide as before, a cube root of two, is the next toleran
 AROUND = (1, 3)  # primitives before and behind those that are too short, which are chosen anew with them
 
 
-@inner_njit()
+@inner_njit
 def _too_short(way: SampledWay, targets: Indices, first: int, last: int, least: float) -> int:
     """How many of the primitives first to last (exclusive) between `targets` take less than the least time."""
     found = 0
@@ -465,7 +465,7 @@ def _too_short(way: SampledWay, targets: Indices, first: int, last: int, least: 
     return found
 
 
-@inner_njit()
+@inner_njit
 def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
     """Mend primitives shorter than the least time among the `count` between s.targets; returns how many there are then.
 
@@ -499,7 +499,7 @@ def _lengthen(way: SampledWay, count: int, rules: FitRules, s: _Scratch) -> int:
     return count
 
 
-@inner_njit()
+@inner_njit
 def _chosen(way: SampledWay, first: int, last: int, rules: FitRules, s: _Scratch) -> int:
     """Targets from sample first to last into s.targets; returns how many primitives they bound."""
     count = _stretch(way, first, last, rules.arcs, 1.0, s)
@@ -524,7 +524,7 @@ def _fitted(
     return kind, via
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _fit(
     way: SampledWay, aimed: SampledWay, first: Indices, last: Indices, rules: FitRules, kind: Indices, via: Array
 ) -> None:
@@ -584,7 +584,7 @@ def _half_of_usual(kind: Indices, first: Indices, last: Indices, n: int) -> Arra
     return out
 
 
-@inner_njit()
+@inner_njit
 def _at(values: Array, place: float, out: Array) -> None:
     """Row of values at a place between two samples."""
     i = min(int(place), len(values) - 2)
@@ -592,7 +592,7 @@ def _at(values: Array, place: float, out: Array) -> None:
         out[j] = values[i, j] + (place - i) * (values[i + 1, j] - values[i, j])
 
 
-@njit(cache=True)
+@njit
 def _outwards(way: SampledWay, reach: Array, most: float) -> Array:
     """Poses turned out of bends by half of what a usual primitive misses there, by `most` [rad] at most.
 

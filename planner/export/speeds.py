@@ -52,7 +52,7 @@ class SpeedRules(NamedTuple):
     fastest: float
 
 
-@inner_njit()
+@inner_njit
 def _stepped(slowness: float, floor: float) -> float:
     """The nearest slowness [s/m] whose speed programs have; where it may not be below `floor`, the next above."""
     speed = 1.0 / slowness
@@ -67,7 +67,7 @@ def _stepped(slowness: float, floor: float) -> float:
     return 1.0 / (steps * step)
 
 
-@njit(cache=True)
+@njit
 def _even_speeds(length: Array, took: Array, group: Indices, usual: Array, rules: SpeedRules) -> Array:
     """`even_speeds`: each speed holds for as many moves as it can; what the clock is late by goes on to the next."""
     out = np.empty(len(length))

@@ -56,7 +56,7 @@ def _plain_row(fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Ar
     return ",".join([*cells, *(f"{value:.{SIGNIFICANT}g}" for value in free.tolist())]) + "\n"
 
 
-@njit(cache=True)
+@njit
 def _fill(
     fixed: Array, decimals: NDArray[np.int64], scale: Array, free: Array, row: int, out: Bytes
 ) -> tuple[int, int]:
@@ -81,7 +81,7 @@ def _fill(
     return len(free), at
 
 
-@inner_njit()
+@inner_njit
 def _fixed(value: int, decimals: int, out: Bytes, at: int) -> int:
     """Write value / 10^decimals at a place in out; returns the place after it."""
     if value < 0:
@@ -106,7 +106,7 @@ def _fixed(value: int, decimals: int, out: Bytes, at: int) -> int:
     return end
 
 
-@inner_njit()
+@inner_njit
 def _significant(x: float, out: Bytes, at: int) -> int:
     """Write x with 12 significant digits at a place in out; returns the place after it, or -1 if it is not sure how."""
     if x == 0.0:

@@ -45,7 +45,7 @@ def track(path: TrackedPath, samples: Array, gone: Array) -> tuple[Array, Array]
     return place, off
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _track(points: Array, way: Array, samples: Array, gone: Array) -> Any:
     m, n, d = len(samples), len(points), points.shape[1]
     place, off = np.zeros(m), np.zeros(m)
@@ -90,7 +90,7 @@ def beside(path: Array, tips: Array, segment: Indices, around: Array) -> Array:
     return np.asarray(_beside(np.ascontiguousarray(path), np.ascontiguousarray(tips), segment.astype(np.int64), around))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _beside(path: Array, tips: Array, segment: Array, around: Array) -> Any:
     out = np.zeros((len(tips), 3))
     last = len(path) - 2

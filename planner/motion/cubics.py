@@ -91,7 +91,7 @@ def add(a: Cubics, b: Cubics) -> Cubics:
     return Cubics(*_add(a.times, a.coefficients, b.times, b.coefficients))
 
 
-@inner_njit()
+@inner_njit
 def _merged(a: Array, b: Array) -> Array:
     """The breakpoints of both, each once: at least two."""
     both = np.zeros(len(a) + len(b))
@@ -109,7 +109,7 @@ def _merged(a: Array, b: Array) -> Array:
     return both[: max(n, 2)].copy()
 
 
-@njit(cache=True)
+@njit
 def _add(times_a: Array, a: Array, times_b: Array, b: Array) -> tuple[Array, Array]:
     times = _merged(times_a, times_b)
     out = np.zeros((4, len(times) - 1, a.shape[2]))
@@ -146,7 +146,7 @@ def extremes(cubics: Cubics) -> Extremes:
     return Extremes(*_extremes(cubics.times, cubics.coefficients))
 
 
-@njit(cache=True)
+@njit
 def _extremes(times: Array, coefficients: Array) -> Array:
     m, nj = coefficients.shape[1:]
     out = np.zeros((5, nj))

@@ -161,7 +161,7 @@ def _swept(n: int, before: Ints, after: Ints, least: Array) -> Array | None:
     return None
 
 
-@njit(cache=True)
+@njit
 def _sweep(start: Array, before: Ints, after: Ints, more: Array) -> bool:
     """Put beginnings (n) off where edges, sorted by the beads that they lead to, or the bead before ask for it; whether any
     has been."""

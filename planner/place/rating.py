@@ -46,7 +46,7 @@ from planner.toolpath.task import NozzleTask
 NO_WRIST, SPHERICAL, OFFSET = 0, 1, 2  # how joint 5 tells how near the wrist is to its singularity
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> float:
     """Mean share of the commanded speed that speeds and accelerations of the joints allow over some samples.
 
@@ -72,7 +72,7 @@ def _speed_share(Ji, solved, twist, rate, weight, samples, v_max, a_max) -> floa
     return time / needed if time > 0.0 else 1.0
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _least_angle(q, q_min, q_max, turns) -> float:
     """The least angle [rad] of the joints that turn from the ends of their ranges, at a posture q (na)."""
     least = np.inf
@@ -112,7 +112,7 @@ class MarginsFilled(NamedTuple):
     lacking: NDArray[np.int8]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked, out) -> None:
     """Fill `out` for every posture of rungs first .. last; poses and clearance are as in the ladder's nodes.
 
@@ -201,7 +201,7 @@ def evaluate_margins(first, last, arm, limits, swept, grid, rungs, table, asked,
                         q_out[r, a, b, c, j] = branch_q[c, j]
 
 
-@inner_njit()
+@inner_njit
 def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.bool_]) -> bool:
     """Whether the joints, and the swept one by `turn`, can go from q0 to q1 (na) in a time [s] at speeds v (na + 1)."""
     if abs(turn) > v[wraps.size] * time:
@@ -215,7 +215,7 @@ def _reachable_in(q0, q1, turn: float, time: float, v: Array, wraps: NDArray[np.
     return True
 
 
-@njit(cache=True)
+@njit
 def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
     """Greatest margin that some way along each task never falls below (tasks), 0 where there is no way.
 
@@ -260,7 +260,7 @@ def bottleneck(q, margin, holder_step, task_rungs, time, v, wraps, floor, came):
     return out, ends
 
 
-@njit(cache=True)
+@njit
 def way_back(ends, came, task_rungs):
     """Nodes (r, 3) roll, holder and branch of the ways that `bottleneck` found."""
     A, B, C = came.shape[1], came.shape[2], came.shape[3]

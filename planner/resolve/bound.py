@@ -113,7 +113,7 @@ class BoundRoom(NamedTuple):
     A: Array
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _room(na, nh, m, facets, branches):
     nj = na + nh
     return BoundRoom(
@@ -125,7 +125,7 @@ def _room(na, nh, m, facets, branches):
     )  # fmt: skip
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _bracket(V, W, factor, out) -> None:
     """Add factor times the change of a screw W (6) that moves with a twist V (6) to out (6); linear rows first."""
     for k in range(3):
@@ -134,7 +134,7 @@ def _bracket(V, W, factor, out) -> None:
         out[3 + k] += factor * (V[3 + a] * W[3 + b] - V[3 + b] * W[3 + a])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _normal(rows, size, A, out) -> bool:
     """Fill out (size) with a vector at right angles to the first size - 1 rows; False where they span less.
 
@@ -172,7 +172,7 @@ def _normal(rows, size, A, out) -> bool:
     return True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _bend(x, nj, na, X, X1, Z, turned, room, out) -> None:
     """Fill out (6) with d of the rates x = (u, roll, chosen ...), see the head of this file."""
     G, e, V, W = room.G, room.e, room.small[0], room.small[1]
@@ -200,7 +200,7 @@ def _bend(x, nj, na, X, X1, Z, turned, room, out) -> None:
     _bracket(V, W, 1.0, out)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _rates(cell, arm, X, Z, room) -> bool:
     """Fill room.e (1 + m, nj): how fast the joints turn for u = 1, roll = 1, and each chosen joint; False if singular."""
     G, e, Ji = room.G, room.e, room.Ji
@@ -224,7 +224,7 @@ def _rates(cell, arm, X, Z, room) -> bool:
     return True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _speed_limit(cell, room) -> float:
     """The greatest u that the joints' speeds allow, over all rates of roll and chosen joints: of the joints' rates u e0 +
     sum f e, those weighted so that f drops out bound u."""
@@ -247,7 +247,7 @@ def _speed_limit(cell, room) -> float:
     return least
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _facets(cell, X, X1, Z, na, room) -> int:
     """Fill room.facets (k, 1 + m, 1 + m), upper triangles: |sum x_a x_b facet| <= 1 of the rates x = (u, roll, chosen).
 
@@ -335,7 +335,7 @@ def _facets(cell, X, X1, Z, na, room) -> int:
     return n
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _beyond(facet, x, half) -> bool:
     """Whether no rates within `half` of x, whose first is exact, keep to a facet."""
     size = x.size
@@ -352,7 +352,7 @@ def _beyond(facet, x, half) -> bool:
     return abs(value) > 1.0 + room
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _allowed(u, cell, most, facets, n, room, last) -> bool:
     """Whether any rates of roll and chosen joints, each at most `most`, allow u; last (1): the facet that told last time."""
     e, v = room.e, cell.velocity
@@ -391,7 +391,7 @@ def _allowed(u, cell, most, facets, n, room, last) -> bool:
     return False
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     """The greatest u at sample i, at most 1, over all branches at a roll and angles (m) of chosen joints; -1 if it is below
     `floor` or there is no posture."""
@@ -481,7 +481,7 @@ def _greatest(i, roll, angles, floor, arm, cell, path, room, last) -> float:
     return best
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _at(index, rolls, lattice, angles) -> float:
     """Roll of the pose of an index; its chosen joints' angles fill `angles`."""
     row = index // rolls
@@ -490,7 +490,7 @@ def _at(index, rolls, lattice, angles) -> float:
     return 2.0 * np.pi * (index % rolls) / rolls
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def at_full_speed(samples, few, arm, cell, path, rolls, lattice, good) -> None:
     """Fill good (k) for samples (k): the index of a pose that allows the commanded speed, -1 where none of the `few` poses
     after the one before does."""
@@ -508,7 +508,7 @@ def at_full_speed(samples, few, arm, cell, path, rolls, lattice, good) -> None:
                 break
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def greatest_rates(samples, arm, cell, path, rolls, lattice, steps, rates) -> None:
     """Fill rates (k) for samples (k): the greatest speed over the commanded one that any pose allows, at most 1."""
     m = lattice.shape[1]

@@ -21,7 +21,7 @@ MISSED_LEAN = 1e-5  # rad beyond a cone that the program must go before it watch
 _LEVEL = 1e-7  # sine of an angle to the vertical below which it has no direction
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lean_of(d, lean) -> None:
     """Fill lean (2) with the horizontal vector towards which a direction d (3) leans, as long as its angle to the
     vertical [rad]."""
@@ -35,7 +35,7 @@ def lean_of(d, lean) -> None:
             lean[0] = np.pi  # upside down, whatever way
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lean_slope_of(d, spin, slope) -> None:
     """Fill slope (2) with the change of `lean_of` d (3) as d turns about `spin` (3), per radian."""
     x = spin[1] * d[2] - spin[2] * d[1]
@@ -52,14 +52,14 @@ def lean_slope_of(d, spin, slope) -> None:
         slope[0], slope[1] = (x, y) if d[2] > 0.0 else (0.0, 0.0)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def facet(lean, k: int):
     """Unit vector of the k-th facet of the polygon around a cone, for a direction that leans as `lean` (2) says."""
     angle = np.arctan2(lean[1], lean[0]) + FACETS[k]
     return np.cos(angle), np.sin(angle)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def watch_leans(step, lean, cones, watch) -> None:
     """Mark in watch (n, b, facets) the facets that leans (n, b, 2) are near, of cones (b) [rad]."""
     for i in range(len(lean)):
@@ -70,7 +70,7 @@ def watch_leans(step, lean, cones, watch) -> None:
                     watch[i, c, k] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def watch_missed_leans(step, lean, lean_slope, cones, first, B, free, x, watch):
     """Mark the facets that a step x of the control values goes beyond; returns how many."""
     m = lean_slope.shape[3]
@@ -102,7 +102,7 @@ def watch_missed_leans(step, lean, lean_slope, cones, first, B, free, x, watch):
 # Compiled: parts of the smallest singular value of a Jacobian along a path, by the power method, and of its slope.
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def gram(B, out) -> None:
     """Fill out with B^T B (6, 6)."""
     for a in range(6):
@@ -113,7 +113,7 @@ def gram(B, out) -> None:
                 out[a, b] += B[k, a] * B[k, b]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def square(M, out) -> None:
     """Fill out with M M of a symmetric M (6, 6), scaled so that its diagonal sums to 1."""
     trace = 0.0
@@ -130,7 +130,7 @@ def square(M, out) -> None:
             out[a, b] *= scale
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def power(M, u, w) -> None:
     """Replace u (6) by M u, with a symmetric M (6, 6). w (6) is room."""
     for a in range(6):
@@ -142,7 +142,7 @@ def power(M, u, w) -> None:
         u[a] = w[a]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def to_unit(u) -> float:
     """Scale u (6) to length 1; returns the length that it had."""
     length = np.sqrt((u[0] * u[0] + u[1] * u[1]) + (u[2] * u[2] + u[3] * u[3]) + (u[4] * u[4] + u[5] * u[5]))
@@ -151,7 +151,7 @@ def to_unit(u) -> float:
     return length
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def sigma_slope_by_joints(J, u, v, before, after, slope) -> None:
     """Fill slope (na) with d sigma / dq_k = u^T (dJ/dq_k) v, where v (na) is of unit length; before, after (6) are room.
 

@@ -70,14 +70,14 @@ class _NewtonRoom(NamedTuple):
     step: Array
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _cross(a, b, out) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def rotation_error(R_to, R_from, w) -> None:
     """Fill w (3) with the rotation vector that turns R_from into R_to, in the outer frame; half a turn's axis is x."""
     for a in range(3):
@@ -101,7 +101,7 @@ def rotation_error(R_to, R_from, w) -> None:
         w[0] = np.pi  # whatever the axis: once Newton's method has moved, it sees the right one
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _upright_on(normal, beside, basis) -> None:
     """Fill basis (3, 3) with rows of unit length at right angles, the last one along a unit normal (3), the first one near
     to `beside` (3), which is about at right angles to it."""
@@ -117,7 +117,7 @@ def _upright_on(normal, beside, basis) -> None:
     _cross(basis[2], basis[0], basis[1])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _tilted(frame, roll, tilt_x, tilt_y, R_tilt, axis, R_part_nozzle, slopes) -> None:
     """Fill R_part_nozzle = frame Exp(tilt) Rz(roll), and slopes (2, 3): the part-frame spin of each tilt's change."""
     angle = np.sqrt(tilt_x * tilt_x + tilt_y * tilt_y)
@@ -150,7 +150,7 @@ def _tilted(frame, roll, tilt_x, tilt_y, R_tilt, axis, R_part_nozzle, slopes) ->
         R_part_nozzle[k, 2] = z
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
     """Fill J (6, na) with the Jacobian at the nozzle, and Ji with the inverse of its columns `solved`; False if there is
     none. J6 is room."""
@@ -161,7 +161,7 @@ def _inverse_at(origins, directions, T_world_nozzle, solved, J, J6, Ji) -> bool:
     return invert6(J6, Ji)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _near_in_closed_form(
     p, T_base_world, T_world_nozzle, T_nozzle_flange, q, low, high, eight, ok, wanted, T_base_nozzle, T_base_flange
 ) -> bool:
@@ -188,7 +188,7 @@ def _near_in_closed_form(
     return True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _out_of_base(T_base_world, J, Ji) -> None:
     """Turn a Jacobian (6, 6) and its inverse from the arm's base frame into the world."""
     R = T_base_world
@@ -201,7 +201,7 @@ def _out_of_base(T_base_world, J, Ji) -> None:
                 Ji[k, first + a] = R[0, a] * u + R[1, a] * v + R[2, a] * w
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
     """Change the joints of q (na) that follow until its nozzle is at p (3), turned by R (3, 3), and fill J (6, na),
     Ji (6, 6) as `_inverse_at` does; False if there is no such posture. J6 (6, 6) is room as well."""
@@ -238,7 +238,7 @@ def _by_steps(arm, p, R, q, room, J, J6, Ji) -> bool:
     return False
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def follow(arm, holder, given, tip, frames, normals, z, active, out) -> int:
     """Fill `out` with postures along samples, and their slopes; returns the first sample where there is none, or -1.
 

@@ -175,7 +175,7 @@ def sample_tasks(tasks: Sequence[NozzleTask], spacing: float, turn: float = np.i
     )
 
 
-@njit(cache=True)
+@njit
 def _motion_along(tip: Array, frames: Array, t: Array, ends: Ints, laid: Ints) -> tuple[Array, Array, Array]:
     """Twists (n, 6) of frames (n, 3, 3) at tips (n, 3) at times t (n), their rates (n, 6) and the time (n) that each sample
     stands for, 0 where nothing is laid.
@@ -207,7 +207,7 @@ def _motion_along(tip: Array, frames: Array, t: Array, ends: Ints, laid: Ints) -
     return twist, rate, weight
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _differences(t: Array, first: int, last: int, i: int) -> tuple[float, float, float, int, int]:
     """Shares of the values before, at and after i in the slope there, exact for parabolas, one-sided at first and last; and
     the two neighbours' indices."""

@@ -231,7 +231,7 @@ def _lattice(low: float, high: float, step: float) -> tuple[Array, bool]:
     return np.linspace(low, high, int(np.ceil((high - low) / step)) + 1), False
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _least_way(up, normals, round_a, round_b):
     """The greatest least cosine between `up` (na, nb, 3) and normals (r, 3) of any way from rung to rung over the lattice, which
     goes round in either index or not; at a rung it may go from cell to neighbour as far as it likes."""

@@ -51,7 +51,7 @@ RAMP_SHARE = 0.7  # of the joints' acceleration, for gaining and losing speed: b
 _ROUNDING = 1e-9  # rad: what is as near to a limit as may be is judged once, of all joints together
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _sigma(Ji, enough, M, S) -> float:
     """Smallest singular value of a Jacobian from its inverse Ji (6, 6), as `largest_singular_value` has it; or `enough`
     if it is no less than that. M, S (6, 6) are room."""
@@ -64,7 +64,7 @@ def _sigma(Ji, enough, M, S) -> float:
     return 1.0 / largest_singular_value(Ji, M, S)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _time_lost(Ji, solved, twist, rate, weight, v_max, a_max, speeds, x, gain) -> float:
     """Time [s] that the joints' limits take from n samples, with the Jacobian's inverse Ji of their middle.
 
@@ -116,7 +116,7 @@ def _time_lost(Ji, solved, twist, rate, weight, v_max, a_max, speeds, x, gain) -
     return lost
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _turned(R, twist, out) -> None:
     """Fill out (n, 6) with twists (n, 6), or their rates, whose frame is turned by R (at least 3, 3)."""
     for i in range(len(twist)):
@@ -141,7 +141,7 @@ class NodesFilled(NamedTuple):
     price: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def evaluate_nodes(first, last, arm, limits, swept, grid, rungs, table, floors, out) -> None:
     """Fill the nodes `out` of rungs first .. last that have a posture, see `Nodes`.
 

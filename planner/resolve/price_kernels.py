@@ -29,7 +29,7 @@ from planner.resolve.quadratic import SUMS
 # sample has a greatest speed that the limits allow, v / (1 + slack): the slack is the share of its time that is lost.
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def differentiate(values, centre, D, out) -> None:
     """Fill out (n, 3, k) with the first three time derivatives of values (n, k)."""
     n, k = values.shape
@@ -42,7 +42,7 @@ def differentiate(values, centre, D, out) -> None:
                 out[i, o, j] = total
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def allowed(order: int, slack: float):
     """Bound of a rate's share of its limit at a slack, linear from there on, and its slope: (1 + slack)^order."""
     if order == 0:
@@ -52,19 +52,19 @@ def allowed(order: int, slack: float):
     return (1.0 + slack) ** 3, 3.0 * (1.0 + slack) ** 2
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lost(slack: float) -> float:
     """Price a second of a slack: the time lost, and that there is a dip at all."""
     return slack + DIP_PRICE * slack / (slack + DIP)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lost_slope(slack: float) -> float:
     """Derivative of `lost`, which is concave: its tangent is never below it."""
     return 1.0 + DIP_PRICE * DIP / (slack + DIP) ** 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def slack_of(rates, limits, slack) -> None:
     """Fill slack (n): the share of its time that a sample loses, with rates (n, 3, nj) and their limits (3, nj)."""
     n, _, nj = rates.shape
@@ -77,7 +77,7 @@ def slack_of(rates, limits, slack) -> None:
         slack[i] = max(v, np.sqrt(a), np.cbrt(y), 1.0) - 1.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def price_time_lost(step, deposits, slack):
     """Price [s] of the time that slacks (n) lose where material is laid down."""
     total = 0.0
@@ -86,7 +86,7 @@ def price_time_lost(step, deposits, slack):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def price_effort(rates, limits, step, peak):
     """Price [s] of the joints' rates (n, 3, nj), and of peaks of their speed: its eighth power, PEAK_PRICE at `peak`."""
     n, _, nj = rates.shape
@@ -104,7 +104,7 @@ def price_effort(rates, limits, step, peak):
     return total / nj
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def price_singularity(weight, step, deposits, sigma, least_sigma):
     """Price [s] of closeness to singularities, `weight` times; and of least singular values sigma (n) below the least."""
     total = 0.0
@@ -115,7 +115,7 @@ def price_singularity(weight, step, deposits, sigma, least_sigma):
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def price_joint_limits(weight, step, q, low, high):
     """Price [s] of closeness to the ends low, high (na) of the arm's joints' ranges, `weight` times; and of going beyond."""
     total = 0.0
@@ -138,7 +138,7 @@ _NEAR_END = 0.7  # of what a step may move a joint: who is as near to the end of
 _MISSED_END = 1e-5  # rad beyond that end that the program must go before it watches it too
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def watch_near(rates, limits, deposits, slack, watch) -> None:
     """Mark in watch (n, 3, nj, 2), upwards and downwards, the rates that are near what their sample's slack allows."""
     n, _, nj = rates.shape
@@ -150,7 +150,7 @@ def watch_near(rates, limits, deposits, slack, watch) -> None:
                     watch[i, o, j, 0 if rates[i, o, j] > 0.0 else 1] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
     """Mark the rates that a step x takes beyond what the watched ones of their sample ask for; returns how many.
 
@@ -185,7 +185,7 @@ def watch_missed(rates, limits, deposits, slack, slopes, at, x, watch):
     return missed
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def watch_near_ends(q, G, low, high, step, trust, watch) -> None:
     """Mark in watch (n, na) the arm's joints that a share of a step within `trust` [rad] may take to the end of their range
     that is nearer now."""
@@ -198,7 +198,7 @@ def watch_near_ends(q, G, low, high, step, trust, watch) -> None:
                 watch[i, j] = min(q[i, j] - low[j], high[j] - q[i, j]) < _NEAR_END * trust * reach
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def watch_missed_ends(now, then, low, high, step, watch):
     """Mark in watch (n, na) the ends that joints `then` (n, nj) go beyond, of those nearer `now`; returns how many."""
     missed = 0
@@ -247,7 +247,7 @@ class RowsFilled(NamedTuple):
     price: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def rate_slopes(limits, G, centre, D, first, B, free, slopes) -> None:
     """Fill slopes (n, 3 nj, w) with the slopes of the rates, as shares of their limits, by the control values.
 
@@ -285,7 +285,7 @@ def rate_slopes(limits, G, centre, D, first, B, free, slopes) -> None:
                     slopes[i, 2 * nj + j, p] = z * (g0 * b3 + 3.0 * g1 * b2 + 3.0 * g2 * b1 + g3 * b0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def foreseen(q, G, moved):
     """Joints (n, nj) that a move of the free variables by moved (n, m) leads to, to first order."""
     out = q.copy()
@@ -296,7 +296,7 @@ def foreseen(q, G, moved):
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def expand_effort(weight, limits, samples, rates, peak, slopes, H, g) -> None:
     """Add effort and peaks to the program, `weight` times: H (n, w), a lower band, and g (n). g is exact, H what is convex:
     of effort its slope over the rate, of peaks all of it.
@@ -337,7 +337,7 @@ def expand_effort(weight, limits, samples, rates, peak, slopes, H, g) -> None:
         start = end
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def expand_joint_limits(weight, samples, q, G, low, high, H, g) -> None:
     """Add closeness of joints q (n, nj) to the ends of the arm's ranges to the program, `weight` times."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -354,7 +354,7 @@ def expand_joint_limits(weight, samples, q, G, low, high, H, g) -> None:
                 _add(H, g, first[i] * G.shape[2], row, 2.0 * weight * step[i] * LIMIT_PRICE, near)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def expand_singularity(weight, samples, sigma, sigma_slope, H, g) -> None:
     """Add closeness to singularities to the program, `weight` times: of sigma (n) with its slope (n, m)."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -367,7 +367,7 @@ def expand_singularity(weight, samples, sigma, sigma_slope, H, g) -> None:
             _add(H, g, first[i] * m, row, 2.0 * weight * step[i] * SIGMA_PRICE, close)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _row_of(i, factor, by_z, first, B, free, row) -> None:
     """Fill row (w) with factor times the slope by the control values of what has the slope by_z (m) at sample i."""
     m = by_z.size
@@ -377,7 +377,7 @@ def _row_of(i, factor, by_z, first, B, free, row) -> None:
             row[e * m + c] = share * by_z[c]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def count_rows(wanted, flags):
     """Rows (n) and groups (n) of samples that are wanted (n), which have a row for each flag (n, b, f) that is set, those of
     a b in one group."""
@@ -396,7 +396,7 @@ def count_rows(wanted, flags):
     return rows, groups
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def places_of(counts):
     """Where what each term counts (terms, n) begins, sample by sample and in the order of terms, and how much there is."""
     terms, n = counts.shape
@@ -409,7 +409,7 @@ def places_of(counts):
     return places, total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def rows_of_rates(weight, limits, samples, rates, slack, slopes, watch, places, rows) -> None:
     """Fill the rows of watched rates: all of a sample's are a group, whose slack is lost time, priced `weight` times.
 
@@ -442,7 +442,7 @@ def rows_of_rates(weight, limits, samples, rates, slack, slopes, watch, places, 
             group[own[i] + 1] = r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def rows_of_ends(samples, q, G, low, high, watch, places, rows) -> None:
     """Fill the rows of joints q (n, nj) that are watched (n, na) for the nearer end of their range: a group each."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -464,7 +464,7 @@ def rows_of_ends(samples, q, G, low, high, watch, places, rows) -> None:
                 group[k] = r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def rows_of_sigma(samples, sigma, sigma_slope, least_sigma, watch, places, rows) -> None:
     """Fill the rows of the samples watched (n) that keep the least singular value: a group each."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -480,7 +480,7 @@ def rows_of_sigma(samples, sigma, sigma_slope, least_sigma, watch, places, rows)
             group[k + 1] = r + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def rows_of_cones(samples, lean, lean_slope, cones, watch, places, rows) -> None:
     """Fill the rows of watched facets (n, b, facets) around leans (n, b, 2): those of a cone (b) [rad] are a group."""
     step, first, B, free = samples.step, samples.first, samples.B, samples.free
@@ -509,7 +509,7 @@ def rows_of_cones(samples, lean, lean_slope, cones, watch, places, rows) -> None
                 group[k] = r
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def expand_tilt(price, samples, lean, lean_slope, H, g) -> None:
     """Add what the nozzle's lean (n, 2) from the surface normal costs to the program, price [s/s and rad^2] of its square;
     lean_slope (n, 2, m)."""
@@ -522,7 +522,7 @@ def expand_tilt(price, samples, lean, lean_slope, H, g) -> None:
             _add(H, g, first[i] * m, row, 2.0 * step[i] * price, lean[i, k])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _add(H, g, at, row, weight, value) -> None:
     """Add weight / 2 (value + row x)^2 to the program."""
     for c in range(row.size):
@@ -532,7 +532,7 @@ def _add(H, g, at, row, weight, value) -> None:
             H[at + c, c - d] += scaled * row[d]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def expand_own(samples, G, speed_slopes, by, curve, H, g) -> None:
     """Add a user's term to the program: by, curve (2, n, nj) are its slopes and curvatures by joints and by their speeds.
 

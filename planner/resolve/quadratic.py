@@ -25,7 +25,7 @@ _ROWS = 64  # that are multiplied at once: few enough for one thread
 _PANEL = 8  # rows of the factor that change the rows after them at once, as one product of matrices
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def times_band(H, x, out) -> None:
     """Fill out with H x; H (n, w) is the lower band, H[i, d] the entry (i, i - d)."""
     n, w = H.shape
@@ -38,7 +38,7 @@ def times_band(H, x, out) -> None:
             out[i - d] += H[i, d] * x[i]
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def upper_band(H, U) -> None:
     """Fill U (n, w) with the matrix whose lower band is H (n, w)."""
     n, w = H.shape
@@ -48,7 +48,7 @@ def upper_band(H, U) -> None:
             U[i - d, d] = H[i, d]
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def factorise(U) -> bool:
     """Banded Cholesky in place: U (n, w) holds the upper band of a symmetric matrix, then that of its upper factor.
 
@@ -82,7 +82,7 @@ def factorise(U) -> bool:
     return True
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def substitute(U, x) -> None:
     """Solve with a factor of `factorise`, in place."""
     n, w = U.shape
@@ -98,7 +98,7 @@ def substitute(U, x) -> None:
         x[i] = s / U[i, 0]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def chunks_of(at, group):
     """First groups of chunks, and the number of groups: the rows of a chunk begin at the same variable and are few."""
     groups = group.size - 1
@@ -115,7 +115,7 @@ def chunks_of(at, group):
     return chunks[: count + 1]
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def add_rows(A, at, group, chunks, D, own, S, U) -> None:
     """Add all groups' rows to the Newton matrix U (n, w), their slacks eliminated; D (rows) are the rows' weights, own
     (groups) that of the slack, S (groups) the sum of both.
@@ -153,7 +153,7 @@ def add_rows(A, at, group, chunks, D, own, S, U) -> None:
                 U[at[start] + c, d] += product[c, c + d]
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def rows_times(A, at, group, chunks, x, out) -> None:
     """Fill out (rows) with A x."""
     w = A.shape[1]
@@ -170,7 +170,7 @@ def rows_times(A, at, group, chunks, x, out) -> None:
             out[r] = total
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def add_times_rows(A, at, group, chunks, y, out) -> None:
     """Add A^T y to out (n)."""
     w = A.shape[1]
@@ -267,7 +267,7 @@ def solve_qp(qp: QuadraticProgram, accuracy: float = ACCURACY) -> Solution:
     return Solution(x, steps, Status(status), gap, residual)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def _value(H, g, A, b, at, group, price, x):
     n = x.size
     Hx = np.empty(n)
@@ -339,7 +339,7 @@ class _Products(NamedTuple):
     high: Array
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _sum(values, first, end) -> float:
     total = 0.0
     for r in range(first, end):
@@ -347,7 +347,7 @@ def _sum(values, first, end) -> float:
     return total
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _direction(rows, newton, at, residual, price, target, second, step) -> None:
     """Fill a step with Newton's direction from an iterate `at` towards complementarity `target`.
 
@@ -385,7 +385,7 @@ def _direction(rows, newton, at, residual, price, target, second, step) -> None:
         dmu[k] = (target - second_slack[k]) / slack[k] - mu[k] - mu[k] / slack[k] * dslack[k]
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _residual(H, g, box, rows, x, at, residual) -> float:
     """Fill residual (n) with the gradient of the Lagrangian at x, whose duals the iterate `at` has; returns what it may
     gain within the box."""
@@ -397,7 +397,7 @@ def _residual(H, g, box, rows, x, at, residual) -> float:
     return np.abs(residual * box).sum()
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
     """Put the slack of group k, whose rows have `room`, and all duals where the products are `target` and the duals' sum
     is the price: halving, since the sum falls as the slack grows."""
@@ -421,7 +421,7 @@ def _centre(room, first, end, price, target, k, s, lam, slack, mu) -> None:
         lam[r] = target / s[r]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=SUMS)
+@njit(fastmath=SUMS)
 def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, int, float, float]:
     """Compiled body of `solve_qp`: what a `Solution` has."""
     n, w = H.shape
@@ -524,7 +524,7 @@ def minimise(H, g, box, A, b, at, group, price, accuracy) -> tuple[Array, int, i
     return x, taken, status if np.isfinite(gap + dual) else 2, gap, dual
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _complementarity(at) -> float:
     """Sum of an iterate's products."""
     s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
@@ -539,7 +539,7 @@ def _complementarity(at) -> float:
     return gap
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _complementarity_after(at, step, length) -> float:
     """Sum of an iterate's products after a share of a step towards complementarity 0."""
     s, lam, slack, mu = at.s, at.lam, at.slack, at.mu
@@ -558,7 +558,7 @@ def _complementarity_after(at, step, length) -> float:
     return gap
 
 
-@inner_njit(error_model="numpy", fastmath=SUMS)
+@inner_njit(fastmath=SUMS)
 def _step_length(at, step, target, second) -> float:
     """Longest share of a step, up to 1 / _TO_THE_WALL, that keeps everything of an iterate `at` positive.
 

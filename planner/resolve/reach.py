@@ -213,7 +213,7 @@ def _holder_around(cell: Cell, swept: int, held: Array) -> tuple[Array, Array, A
 # Angles, poses, Jacobians and clearance of one posture.
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def room_for_poses(na, nh, branches):
     """A thread's room, for an arm of na joints and a number of branches, and a holder of nh joints."""
     return PoseRoom(
@@ -225,14 +225,14 @@ def room_for_poses(na, nh, branches):
     )  # fmt: skip
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def nearest_turn(angle: float, middle: float) -> float:
     """The angle, in whole turns as near to the middle of a joint's range as can be."""
     away = angle - middle
     return middle + away - 2.0 * np.pi * np.rint(away / (2.0 * np.pi))
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def nearest_turns(q, middle, q_min, q_max, turns) -> float:
     """Turn all joints of q (na) that turn so; returns the least angle [rad, m] from the end of a range, negative beyond it."""
     room = np.inf
@@ -243,7 +243,7 @@ def nearest_turns(q, middle, q_min, q_max, turns) -> float:
     return room
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def angle_in_range(swept, angle: float):
     """An angle of the swept joint [rad], turned into its range, and whether it keeps room from the ends; the place [m]
     of a joint that slides."""
@@ -256,7 +256,7 @@ def angle_in_range(swept, angle: float):
     return turned, not min(turned - swept.low, swept.high - turned) < swept.room
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def part_pose(swept, r: int, angle: float, room) -> None:
     """Fill the poses of part and task in the world, at rung r and an angle [rad] of the swept joint."""
     turns = swept.sweeps == 1 and not swept.slides
@@ -270,7 +270,7 @@ def part_pose(swept, r: int, angle: float, room) -> None:
     mul4(room.T_world_part, room.T_part_task, room.T_world_task)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lean_nozzle(T_world_task, share: float, R, T_rolled) -> None:
     """Turn a task's pose about its tip so that its z leans from straight down by a share of what it did, see `leaned`;
     R (3, 3) and T_rolled (4, 4) are room."""
@@ -288,7 +288,7 @@ def lean_nozzle(T_world_task, share: float, R, T_rolled) -> None:
             T_world_task[a, b] = T_rolled[a, b]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def flange_pose(
     T_base_world, T_nozzle_flange, T_world_task, z_axis, roll: float, R, T_rolled, T_base_nozzle, T_base_flange
 ) -> None:
@@ -299,7 +299,7 @@ def flange_pose(
     mul4(T_base_nozzle, T_nozzle_flange, T_base_flange)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def into_part(J, solved, T_world_part, Jp) -> None:
     """Fill Jp (6, 6) with the columns `solved` of a Jacobian J (6, na), their rows turned from the world into the part
     frame, where twists are given."""
@@ -312,7 +312,7 @@ def into_part(J, solved, T_world_part, Jp) -> None:
             Jp[i, j], Jp[3 + i, j] = lin, ang
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, Jp, Ji) -> bool:
     """Fill Ji (6, 6) with the rates of the joints `solved` for a twist in the part frame, at the tip of a chain of whose
     joints origins and directions (na, 3) are known; False if it is singular to rounding. J (6, na), Jp (6, 6) are room."""
@@ -321,7 +321,7 @@ def inverse_in_part(origins, directions, solved, T_world_part, T_world_task, J, 
     return invert6(Jp, Ji)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lacks_clearance(table, bodies, posture, q, now: float, head, roll: int) -> bool:
     """Whether a posture, its arm's joints now q (na), lacks clearance at a time of the print [beads].
 

@@ -74,7 +74,7 @@ class TravelLimits(NamedTuple):
     middle: float = 0.0
 
 
-@inner_njit()
+@inner_njit
 def travel_price(
     qa: NDArray[np.float32], qb: NDArray[np.float32], turn: float, v: Array, a: Array, wraps: NDArray[np.bool_]
 ) -> float:
@@ -92,7 +92,7 @@ def travel_price(
     return TRAVEL_PRICE * worst
 
 
-@inner_njit()
+@inner_njit
 def edge_price(q0, q1, q1_straight, turn: float, time: float, limits) -> float:
     """Price [s] of the edge from q0 to q1 (na) in `time`, where keeping roll and holder would lead to q1_straight.
 
@@ -118,7 +118,7 @@ def edge_price(q0, q1, q1_straight, turn: float, time: float, limits) -> float:
     return TURN_PRICE * time * share * share + lost + FAR_PRICE * (far - limits.far)
 
 
-@inner_njit()
+@inner_njit
 def _shift(index: int, window: int, periodic: bool) -> int:
     """Index in a window, round the circle if it is one; -1 outside."""
     if periodic:
@@ -126,7 +126,7 @@ def _shift(index: int, window: int, periodic: bool) -> int:
     return index if 0 <= index < window else -1
 
 
-@inner_njit()
+@inner_njit
 def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float, limits) -> float:
     """Holder's turn from node b0 at rung r0 to node b1 at rung r1, the short way round if it can go round."""
     i1, i0 = holder_from[r1] + b1, holder_from[r0] + b0
@@ -136,7 +136,7 @@ def _turn(holder_from, r1: int, b1: int, r0: int, b0: int, holder_step: float, l
     return nearest_turn(i1 * holder_step, limits.middle) - nearest_turn(i0 * holder_step, limits.middle)
 
 
-@inner_njit()
+@inner_njit
 def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
     """Start a bead at rung r: each node's cheapest predecessor among all ends (at rung r - 1) of the bead before.
 
@@ -184,7 +184,7 @@ def _from_travel(ladder, r: int, arrived, limits, cost, back) -> None:
                     back[i, b, c] = best_k
 
 
-@inner_njit()
+@inner_njit
 def _neighbours(window: int, shift: int, periodic: bool):
     """Indices (window, 3) in the window before, which stands `shift` further back, and in this one, of what is one step
     less, the same, and one step more; -1 outside."""
@@ -195,7 +195,7 @@ def _neighbours(window: int, shift: int, periodic: bool):
     return before, here
 
 
-@inner_njit()
+@inner_njit
 def _held(turns, label: int, q, angle: float) -> bool:
     """Whether the joints whose turns are counted are within their ranges, at a node's joints q and angle of the swept one."""
     for k in range(turns.joint.size):
@@ -207,7 +207,7 @@ def _held(turns, label: int, q, angle: float) -> bool:
     return True
 
 
-@inner_njit()
+@inner_njit
 def _label_before(turns, label: int, q0, q1, angle0: float, angle1: float) -> int:
     """Label at the node before of whoever comes with a label, no joint jumping; -1 where there is none."""
     out, unit = 0, 1
@@ -223,7 +223,7 @@ def _label_before(turns, label: int, q0, q1, angle0: float, angle1: float) -> in
     return out
 
 
-@inner_njit()
+@inner_njit
 def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
     """Each node's cheapest predecessor among its nine neighbours at rung r - 1; of equal ones the first in their order.
 
@@ -277,7 +277,7 @@ def _from_rung(ladder, r: int, arrived, limits, turns, cost, back) -> None:
                         back[r, i, b, c, label] = best_k
 
 
-@inner_njit()
+@inner_njit
 def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
     """Begin a bead at rung r with what its nodes cost, first (A, B, C), whatever turns they are taken with."""
     A, B, C, L = cost.shape
@@ -291,7 +291,7 @@ def _start(ladder, r: int, turns, first, first_back, cost, back) -> None:
                         back[r, i, b, c, label] = first_back[i, b, c]
 
 
-@inner_njit()
+@inner_njit
 def _any_turns(cost):
     """Least costs (A, B, C) of nodes with whatever turns, and the labels of these."""
     A, B, C, L = cost.shape
@@ -308,7 +308,7 @@ def _any_turns(cost):
 # numba compiles sums of whole arrays of four axes, their least numbers and their making in seconds each: loops do that.
 
 
-@inner_njit()
+@inner_njit
 def _add(more, cost) -> None:
     """Add to costs (A, B, C, labels) as many others."""
     A, B, C, L = cost.shape
@@ -319,7 +319,7 @@ def _add(more, cost) -> None:
                     cost[i, b, c, label] += more[i, b, c, label]
 
 
-@inner_njit()
+@inner_njit
 def _least(cost):
     """The first index of the least of costs, all axes in one, and that cost."""
     flat = cost.ravel()
@@ -330,7 +330,7 @@ def _least(cost):
     return least, flat[least]
 
 
-@inner_njit()
+@inner_njit
 def _leave(ladder, r: int, limits, turns, cost, back) -> None:
     """Let the nozzle leave the bead at rung r where it has come to most cheaply, and come back in any posture, with any
     turns; who does so is marked by what lies below -1 in `back`."""
@@ -353,7 +353,7 @@ def _leave(ladder, r: int, limits, turns, cost, back) -> None:
                         back[r, i, b, c, label] = -2 - k
 
 
-@inner_njit()
+@inner_njit
 def _trace(back, k: int, came, left) -> None:
     """Fill the nodes and labels (R, 4) that a way comes to, and goes on from, rung by rung, from its last one."""
     R, A, B, C, L = back.shape
@@ -366,7 +366,7 @@ def _trace(back, k: int, came, left) -> None:
         k = flat[r, k]
 
 
-@njit(cache=True)
+@njit
 def search_best(ladder, limits, turns, may, out, back_home):
     """Cheapest route: window indices, branch column and label (R, 4) to which it comes at each rung, and those from which it
     goes on, its price, and -1; or where it got stuck.
@@ -417,7 +417,7 @@ def search_best(ladder, limits, turns, may, out, back_home):
     return came, left, least_cost, -1
 
 
-@njit(cache=True)
+@njit
 def search_greedy(ladder, limits, low, high):
     """Greedy route, bead by bead: picked (R, 3) window indices and branch column, its price, and -1; or where it got stuck.
 
@@ -455,7 +455,7 @@ def search_greedy(ladder, limits, low, high):
     return picked, total, -1
 
 
-@inner_njit()
+@inner_njit
 def _wound(wound, q, limits, low, high, further) -> bool:
     """Whether going on to joints q (na) winds one further than its range; wound (3, na): where they are, and the least and
     the most they were, with their turns. `further` (3, na) is filled with the same behind that step."""
@@ -472,14 +472,14 @@ def _wound(wound, q, limits, low, high, further) -> bool:
     return False
 
 
-@inner_njit()
+@inner_njit
 def _put(values, into) -> None:
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             into[i, j] = values[i, j]
 
 
-@inner_njit()
+@inner_njit
 def _follow(ladder, limits, low, high, r0: int, stop: int, picked):
     """Walk from the node picked at rung r0 up to rung `stop`, always to the cheapest next one; the price of the way, and
     the rung of a dead end, or -1."""

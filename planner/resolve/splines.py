@@ -156,7 +156,7 @@ class Basis:
         return spline_values(self.first, self.B, c)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def spline_values(first: Ints, B: Array, c: Array) -> Array:
     """The spline (n, k) with control values c (m, k); first (n) and B (n, 4, degree + 1) as in Basis."""
     n, k = len(first), c.shape[1]
@@ -181,7 +181,7 @@ def basis_over(clock: Clock, places: Array) -> Basis:
     return Basis(first, np.concatenate([B[:, :1], _by_time(by_index, clock.rate)], axis=1), controls)
 
 
-@njit(cache=True)
+@njit
 def _basis(u: Array, knots: Array, degree: int) -> tuple[Ints, Array]:
     """First nonzero B-spline (n) at each u (n), and values and three derivatives (n, 4, degree + 1) of all of them.
 

@@ -233,7 +233,7 @@ def _cells(lattice: Lattice, demand: SampledTasks, cone: float) -> tuple[Cells, 
     return Cells(first, a, b, lean, voxel.ravel(), demand.time, begins), middles
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _find_cells(up, T_world_part, normals, tips, cone):
     """Cells of rungs with normals, tips (r, 3), of lattice points whose up (na, nb, 3) is within the cone [rad] or as near as
     can be: first (r + 1), lattice indices a, b (m), price of the lean (m) [s/s], tip in the world (m, 3) [m]."""
@@ -293,7 +293,7 @@ def _posture_prices(cell: Cell, middles: Array, speed: float) -> NDArray[np.floa
     return price
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _price_postures(arm, limits, middles, redundant, speed, price) -> None:
     """Fill price (v, headings, 8) of postures that exist; see `_posture_prices`."""
     kind, solver, p, solved = arm.kind, arm.solver, arm.parameters, arm.solved
@@ -387,7 +387,7 @@ def _cheapest(
     return picked
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _begin(cells, price, steps, turns, near):
     """Values (m, headings * 8) of the first rung's cells."""
     m = cells.first[1]
@@ -404,7 +404,7 @@ def _begin(cells, price, steps, turns, near):
     return out
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _move_prices(axis, begins, time, steps, size, turns, out) -> int:
     """Fill out (2 w + 1) with prices [s] of moves by -w .. w steps of an axis, and return w.
 
@@ -424,7 +424,7 @@ def _move_prices(axis, begins, time, steps, size, turns, out) -> int:
     return w
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _sweep(cells, price, turns, steps, size, k0, k1, begun):
     """Values of the cells of rungs k0 .. k1, one after the other (m, headings * 8), from those of rung k0."""
     na, nb, headings = size
@@ -520,14 +520,14 @@ def _sweep(cells, price, turns, steps, size, k0, k1, begun):
     return out
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _mark(cells, first, last, mark, open_to) -> None:
     """Mark the lattice points (na, nb) of some cells."""
     for x in range(first, last):
         open_to[cells.a[x], cells.b[x]] = mark
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _stepped(index: int, d: int, n: int, turns: bool) -> int:
     """Index of n so many steps on, round the circle if it turns; -1 beyond the ends."""
     if turns:
@@ -535,7 +535,7 @@ def _stepped(index: int, d: int, n: int, turns: bool) -> int:
     return index + d if 0 <= index + d < n else -1
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _leads(open_to, a0, b0, d0, d1, turns) -> bool:
     """Whether tilt can move from (a0, b0) by d0 steps and then rotation by d1, past marked lattice points alone."""
     na, nb = open_to.shape
@@ -547,14 +547,14 @@ def _leads(open_to, a0, b0, d0, d1, turns) -> bool:
     return past
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _least(to, values, more) -> None:
     """Replace `to` by values + more where that is less."""
     for m in range(to.size):
         to[m] = min(to[m], values[m] + more)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _change_branch(row, branches) -> None:
     """Let travel change the branch."""
     for g in range(0, row.size, branches):
@@ -565,7 +565,7 @@ def _change_branch(row, branches) -> None:
             row[g + c] = min(row[g + c], least + BRANCH_PRICE)
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
     """Fill picked (r, 2) of rungs k1 down to k0 from the value `at` (cell and column) of rung k1; returns that of rung k0."""
     headings, branches = size[2], price.shape[2]
@@ -610,7 +610,7 @@ def _trace(cells, price, turns, steps, size, k0, k1, values, at, picked):
     return at
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _short(d: int, n: int) -> int:
     """A way round a circle of n steps, the short way."""
     return (d + n // 2) % n - n // 2

@@ -89,7 +89,7 @@ def nearest_first(lines: Sequence[tuple[Array, bool]]) -> list[tuple[int, bool]]
     return order
 
 
-@njit(cache=True)
+@njit
 def _nearest_neighbour(ends: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     n = len(ends)
     order = np.zeros(n, dtype=np.int64)
@@ -111,12 +111,12 @@ def _nearest_neighbour(ends: Array) -> tuple[NDArray[np.int64], NDArray[np.bool_
     return order, flipped
 
 
-@inner_njit()
+@inner_njit
 def _end(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], k: int, last: int) -> Array:
     return ends[order[k], last if not flipped[k] else 1 - last]
 
 
-@inner_njit()
+@inner_njit
 def _gap(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], a: int, la: int, b: int, lb: int) -> float:
     """Distance between end la of the a-th in order and end lb of the b-th; 0 beyond either end of the tour."""
     if a < 0 or b >= len(order):
@@ -125,7 +125,7 @@ def _gap(ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_], a: i
     return float(np.hypot(p[0] - q[0], p[1] - q[1]))
 
 
-@njit(cache=True)
+@njit
 def _improve(
     ends: Array, order: NDArray[np.int64], flipped: NDArray[np.bool_]
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -57,7 +57,7 @@ def _projected(axis: Array, normals: Array) -> Array:
     return np.asarray(tangent / np.linalg.norm(tangent, axis=1)[:, None])
 
 
-@njit(cache=True)
+@njit
 def _transport(normals: Array, start: Array) -> Array:
     """Carry a tangent from sample to sample by the smallest rotation that takes one normal to the next."""
     out = np.empty_like(normals)

@@ -35,7 +35,7 @@ class HeightBounds(NamedTuple):
     low: float
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def height_bounds(tree, solids, rule, deep, nearest, fine):
     """Bounds of all bodies, from `deep` [m] beneath the tip on.
 
@@ -59,7 +59,7 @@ def height_bounds(tree, solids, rule, deep, nearest, fine):
     return HeightBounds(least, floor, _widest(tree), -deep)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _widest(tree):
     """The greatest radius of the points of each node; children come after their parents."""
     left, right = tree.left, tree.right
@@ -73,7 +73,7 @@ def _widest(tree):
     return out
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _lowest(solids, j):
     """Height of a body's lowest point above the tip, or less: its axis z goes down into the part."""
     T, size, kind = solids.T_solid_frame[j], solids.size[j], solids.kind[j]
@@ -90,7 +90,7 @@ def _lowest(solids, j):
     return dx * T[0, 3] + dy * T[1, 3] + dz * T[2, 3] - along
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _by_cells(solids, j, far, rule, deep, nearest, fine, least):
     """Fill the bounds (h) of a body that is round about the nozzle's axis: the plane of radius and height is cut into cells,
     and the least margin within each counts from its lowest height on."""
@@ -119,7 +119,7 @@ def _by_cells(solids, j, far, rule, deep, nearest, fine, least):
         least[i] = min(least[i], least[i - 1])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def rise(way, a, b, c):
     """By how much a point at the tip rises at most [m], and the axis turns [rad], from sample c to any from a to b."""
     tip, rotation, path, turned = way.tip, way.rotation, way.path, way.turned
@@ -134,7 +134,7 @@ def rise(way, a, b, c):
     return most, max(turned[c] - turned[a], turned[b] - turned[c])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def least_so_high(bounds, j, height, radius, still, graze):
     """The least margin [m] that points up to a height can have, whose radius is at most this; still: whether some may be
     there from the start."""
@@ -145,7 +145,7 @@ def least_so_high(bounds, j, height, radius, still, graze):
     return min(low, bounds.floor[j] - height + graze) if still else low
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def none_so_near(tree, solids, j, bounds, way, a, b, T, rule, target, room):
     """Whether no point has a margin less than the target [m] in samples a .. b, by its distance or its height at the sample
     in their middle; T (4, 4) takes points into the body's frame there; rule: `TipRule` with the least slack of the way."""
@@ -187,18 +187,18 @@ def none_so_near(tree, solids, j, bounds, way, a, b, T, rule, target, room):
     return True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def height_above(x, y, z, p, R):
     """How high a point stands above the plane through the tip p (3) at right angles to the axis of R (3, 3), which goes down."""
     return (p[0] - x) * R[0, 2] + (p[1] - y) * R[1, 2] + (p[2] - z) * R[2, 2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _away(x, y, z, p):
     return np.sqrt((x - p[0]) ** 2 + (y - p[1]) ** 2 + (z - p[2]) ** 2)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _spared(centre, radius, around, solid, T, p, rule, still, gone, turn, target):
     """Whether balls of points keep the target by their distance, wherever within `around` of the centre they are, while the
     tip moves by `gone` [m] and turns by `turn` [rad]."""

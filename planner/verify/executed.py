@@ -90,7 +90,7 @@ def _fill(
         motion.branch[:] = _branch(cell, T_base_flange, q[:, : len(cell.arm)], motion.det)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _judge(
     T_base_nozzle: Array, J: Array, deposit: NDArray[np.bool_], T_world_base: Array, T_world_part: Array, rails: int,
     solved: NDArray[np.int64], tip: Array, rotation: Array, up: Array, sigma: Array, det: Array,
@@ -126,7 +126,7 @@ def _judge(
         det[i] = _determinant(square)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _determinant(A: Array) -> float:
     """Determinant of a square matrix, which is lost: by elimination, the largest of each column first."""
     n, out = len(A), 1.0
@@ -236,7 +236,7 @@ def _nozzle(cell: Cell, q: Array) -> tuple[Array, Array]:
     return T, J
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _shift(J: Array, p: Array) -> None:
     """Jacobians J (n, 6, nv) of the origin, made those of places p (n, 3) that move with the same body."""
     for i in range(len(J)):

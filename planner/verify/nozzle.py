@@ -102,7 +102,7 @@ class BlockRoom(NamedTuple):
     values: Array
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def least_along(tree, solids, way, clearance, slope, bounds, search):
     """The least value of `nearest_point` along a motion, FAR at most; its sample, body and point, or -1.
 
@@ -186,7 +186,7 @@ def least_along(tree, solids, way, clearance, slope, bounds, search):
     return least, where, whose, which
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _here_and_there(tree, solids, way, clearance, slope, search):
     """The least value at some samples, its sample, body and point: it spares many of the looks that follow."""
     kind, size, planes, T_solid_frame = solids.kind, solids.size, solids.planes, solids.T_solid_frame
@@ -203,7 +203,7 @@ def _here_and_there(tree, solids, way, clearance, slope, search):
     return least, where, whose, which
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, room):
     """The least value of one point in samples a .. b, in which a body is at poses, if it is less; and its sample.
 
@@ -259,7 +259,7 @@ def _least_of_point(tree, of, solid, T_solid_nozzle, way, a, b, rule, least, roo
     return least, where
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, moved, target):
     """The least value of a point, in the tree's order, at instants between a sample and the next, so many that none below the target lies
     between.
@@ -278,7 +278,7 @@ def _least_between(tree, of, solid, T_solid_nozzle, way, first, rule, both, move
     return least
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def margins_along(tree, solids, way, rule, often, bounds, margin, search):
     """Fill margin, between looks interpolated; returns the least, its sample, body and point.
 
@@ -346,7 +346,7 @@ def margins_along(tree, solids, way, rule, often, bounds, margin, search):
     return least, where, whose, which
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _next_look(way, k, spare, arm, slope):
     """The sample that is looked at after k: as far on as may do if the margin there is what it is at k.
 
@@ -365,7 +365,7 @@ def _next_look(way, k, spare, arm, slope):
     return m
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most, search):
     """The margin of a body at sample k, `most` and FAR at most, and its point; the search begins with the known one, or
     with -1."""
@@ -378,7 +378,7 @@ def _look_at(tree, solid, T_solid_nozzle, way, clearance, slope, k, known, most,
     return value, known if point < 0 else point
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target, search):
     """The least margin of a body between samples k and k + 1, if it is less than the target, and its point, or -1.
 
@@ -397,7 +397,7 @@ def _look_between(tree, solid, T_solid_nozzle, way, rule, k, mean, fall, target,
     return least, which
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _pose(T_solid_nozzle, R, p, T):
     """T_solid_part (4, 4) of a solid in the nozzle frame, whose axes in the part frame are R and whose origin is p."""
     for i in range(3):
@@ -406,7 +406,7 @@ def _pose(T_solid_nozzle, R, p, T):
         T[i, 3] = T_solid_nozzle[i, 3] - T[i, 0] * p[0] - T[i, 1] * p[1] - T[i, 2] * p[2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _between(Ra, Rb, pa, pb, share, R, p):
     """The pose at a share of the way between two that differ little."""
     for k in range(3):

@@ -224,7 +224,7 @@ def _blocks(count: int) -> Iterator[slice]:
     return (slice(first, min(first + _AT_ONCE, count)) for first in range(0, count, _AT_ONCE))
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _table(keys, bits):
     """Numbers of cells by their keys (c): open addressing in 2^bits places."""
     table = np.full(1 << bits, -1, dtype=np.int64)
@@ -237,7 +237,7 @@ def _table(keys, bits):
     return table
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _looks(tip, axis, often, reach):
     """Samples at which the tip has moved, or the nozzle turned at its reach, by `often` [m] since the one before."""
     out, count = np.empty(len(tip), np.int64), _ZERO
@@ -254,7 +254,7 @@ def _looks(tip, axis, often, reach):
     return out[:count].copy()
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def outline_distance(profile, r, z):
     """Signed distance [m] of a point at radius r and height z above the tip from the nozzle's outline (k, 2), which goes on
     upwards for ever."""
@@ -276,7 +276,7 @@ def outline_distance(profile, r, z):
     return -np.sqrt(best) if inside else np.sqrt(best)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
     """The greatest overlap of the nozzle with balls laid before, as a share of their bead's height, its sample and row, or -1,
     how far the ball is from the tip [m], and the greatest depth of all [m].
@@ -353,7 +353,7 @@ def _deepest(rows, tip, axis, bead, looks, profile, reach, shaped):
     return best, where, which, apart, greatest
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _still_shaped(when, j, shaped, tip):
     """Whether the tip has come at most `shaped` [m] from where it was at an instant to sample j."""
     gone = 0.0

@@ -130,13 +130,13 @@ def from_zy(origin: Array, z: Array, y: Array) -> Array:
     return T
 
 
-@njit(cache=True)
+@njit
 def wrap(angle: float) -> float:
     """Angle in (-pi, pi]."""
     return angle - TURN * np.ceil((angle - np.pi) / TURN)
 
 
-@inner_njit()
+@inner_njit
 def between(T_left: Array, R: Array, t: Array, T_right: Array, room: Array, out: Array) -> None:
     """Fill out (4, 4) with T_left (R, t) T_right; room (2, 4, 4) is spoilt."""
     for i in range(3):
@@ -148,7 +148,7 @@ def between(T_left: Array, R: Array, t: Array, T_right: Array, room: Array, out:
     mul4(room[1], T_right, out)
 
 
-@njit(cache=True)
+@njit
 def inverse_of(T: Array) -> Array:
     """Inverse (4, 4) of a rigid transform (16) by rows."""
     out = np.zeros((4, 4))

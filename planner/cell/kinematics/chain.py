@@ -16,7 +16,7 @@ _SINGULAR = 1e-12  # pivot below which a matrix has no inverse
 _SQUARINGS = 3
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def invert6(A: Array, B: Array) -> bool:
     """Fill B with the inverse of A (6, 6), which is spoilt; False if A is singular to rounding (Gauss and Jordan, in
     place: a column that has become one of the unit matrix makes room for one of the inverse)."""
@@ -52,7 +52,7 @@ def invert6(A: Array, B: Array) -> bool:
     return True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def largest_singular_value(B: Array, M: Array, S: Array) -> float:
     """Of B (6, 6), within 2 % from below, for prices only; M, S (6, 6) are room.
 
@@ -153,7 +153,7 @@ def joint_move(axis: Array, q: float) -> Array:
     return T
 
 
-@njit(cache=True)
+@njit
 def rotate_about(axis: Array, angle: float, R: Array) -> None:
     """Fill R (at least 3, 3) with the rotation about a unit axis (Rodrigues)."""
     c, s = np.cos(angle), np.sin(angle)
@@ -164,7 +164,7 @@ def rotate_about(axis: Array, angle: float, R: Array) -> None:
     R[2, 0], R[2, 1], R[2, 2] = t * x * z - s * y, t * y * z + s * x, t * z * z + c
 
 
-@inner_njit()
+@inner_njit
 def mul4(A: Array, B: Array, C: Array) -> None:
     """Fill C (4, 4) with the product of two rigid transforms; C is neither of them."""
     for i in range(3):
@@ -174,7 +174,7 @@ def mul4(A: Array, B: Array, C: Array) -> None:
     C[3, 0], C[3, 1], C[3, 2], C[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@inner_njit()
+@inner_njit
 def pose_of(R: Array, t: Array, T: Array) -> None:
     """Fill T (4, 4) with the rigid transform of a rotation R (3, 3) and an origin t (3)."""
     for i in range(3):
@@ -184,7 +184,7 @@ def pose_of(R: Array, t: Array, T: Array) -> None:
     T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@inner_njit()
+@inner_njit
 def turn(T: Array, R: Array, out: Array) -> None:
     """Fill out (4, 4) with the rigid transform T, its frame turned by the rotation R (3, 3)."""
     for i in range(3):
@@ -194,7 +194,7 @@ def turn(T: Array, R: Array, out: Array) -> None:
     out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _times(R: Nine, S: Nine) -> Nine:
     """The product of two matrices (3, 3), row by row."""
     return (
@@ -204,7 +204,7 @@ def _times(R: Nine, S: Nine) -> Nine:
     )  # fmt: skip
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def chain_state(
     placements: Array, axes: Array, T_last_tip: Array, q: Array, origins: Array, directions: Array, T_tip: Array
 ) -> None:
@@ -251,7 +251,7 @@ def chain_state(
     T_tip[3, 0], T_tip[3, 1], T_tip[3, 2], T_tip[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
     """Fill J (6, n), linear rows first, at a point p (3), from what `chain_state` gives."""
     for j in range(J.shape[1]):
@@ -267,7 +267,7 @@ def jacobian_at(origins: Array, directions: Array, p: Array, J: Array) -> None:
         J[3, j], J[4, j], J[5, j] = d[0], d[1], d[2]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
     """Compiled body of `Chain.poses`."""
     m, n = q.shape
@@ -278,7 +278,7 @@ def chain_poses(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> 
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def chain_jacobians(placements: Array, axes: Array, T_last_tip: Array, q: Array) -> Array:
     """Compiled body of `Chain.jacobians`."""
     m, n = q.shape
@@ -301,7 +301,7 @@ _LEAST_DAMPING = 1e-13
 _LONGEST_STEP = 0.5  # rad in one joint
 
 
-@inner_njit()
+@inner_njit
 def refine(
     placements: Array,
     axes: Array,
@@ -351,7 +351,7 @@ def refine(
     return bool(_error(T, R, t, e) < EXACT * EXACT)
 
 
-@inner_njit()
+@inner_njit
 def _pose_and_jacobian(
     placements: Array, axes: Array, T_last_tip: Array, q: Array, tip: Array, J: Array, lines: Array
 ) -> None:
@@ -360,7 +360,7 @@ def _pose_and_jacobian(
     jacobian_at(lines[0], lines[1], tip[:3, 3], J)
 
 
-@inner_njit()
+@inner_njit
 def solve_symmetric(A: Array, b: Array) -> None:
     """b (n) becomes the x of A x = b with a positive definite A (n, n), which is spoilt (Cholesky)."""
     n = b.size
@@ -382,7 +382,7 @@ def solve_symmetric(A: Array, b: Array) -> None:
         b[i] /= A[i, i]
 
 
-@inner_njit()
+@inner_njit
 def _error(T: Array, R: Array, t: Array, e: Array) -> float:
     """Fill e (6) with the way from pose T to (R, t): shift [m], then turn [rad] as a vector; its squared length."""
     D = np.empty((3, 3))  # R T^T

@@ -80,13 +80,13 @@ class Corrected:
         return self.nominal.out_of_reach(T_base_flange, redundant)
 
 
-@inner_njit()
+@inner_njit
 def length(n: int) -> int:
     """Length of the parameters before the ideal arm's own, for n joints."""
     return 1 + 22 * n + 16
 
 
-@inner_njit()
+@inner_njit
 def refine_branches(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Refine the postures q (B, n) that exist (ok), all for one pose; ok becomes False where that fails."""
     n = q.shape[1]
@@ -100,7 +100,7 @@ def refine_branches(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_
                 q[k, j] = wrap(q[k, j])
 
 
-@njit(cache=True)
+@njit
 def _refine_all(p: Array, T: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     for i in range(T.shape[0]):
         refine_branches(p, T[i, :3, :3], T[i, :3, 3], q[i], ok[i])
@@ -188,7 +188,7 @@ class OnRail:
         return rest if redundant is None else np.ascontiguousarray(np.reshape(redundant, rest.shape), dtype=np.float64)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _seen_from_arm(p: Array, given: Array, R: Array, t: Array, out: Array) -> None:
     """Fill out (4, 4) with a flange pose, rotation R (3, 3) and origin t (3), as the arm's own base has it; p: parameters
     up to the arm's own, given (k, or more)."""
@@ -304,7 +304,7 @@ def track(
     return turned, ok
 
 
-@njit(cache=True, nogil=True)
+@njit
 def branches_of(kind: int) -> int:
     """How many branches an arm of a kind has."""
     return skew_wrist_kernel.SLOTS if kind % CORRECTED == SKEW_WRIST else spherical_wrist.BRANCHES
@@ -334,7 +334,7 @@ def solver_of(inverse: InverseKinematics) -> SolverAddresses:
     return SolverAddresses(own, address_of(_whole_entry, _WHOLE) if kind >= CORRECTED else 0)
 
 
-@inner_njit()
+@inner_njit
 def solve_one(
     kind: int, solver: SolverAddresses, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
 ) -> None:
@@ -349,7 +349,7 @@ def solve_one(
         call_at(solver.whole, (kind, solver.own, p, p.size, redundant, redundant.size, T, q, q.shape[1], ok))
 
 
-@njit(cache=True)
+@njit
 def _solve_whole(
     kind: int, own_solver: int, p: Array, redundant: Array, T: Array, q: Array, ok: NDArray[np.bool_]
 ) -> None:
@@ -369,7 +369,7 @@ def _solve_whole(
             q[k, j + rails] = own[k, j]
 
 
-@inner_njit()
+@inner_njit
 def _solve_standing(
     kind: int, own_solver: int, p: Array, redundant: float, T: Array, q: Array, ok: NDArray[np.bool_]
 ) -> None:

@@ -99,7 +99,7 @@ def read_offset_wrist(chain: Chain) -> OffsetWrist:
     return OffsetWrist(np.concatenate([[a2, a3, d4, d5], signs, offsets, T_shoulder_base.ravel(), T_flange_k.ravel()]))
 
 
-@njit(cache=True)
+@njit
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3)."""
     a2, a3, d4, d5 = p[0], p[1], p[2], p[3]
@@ -146,7 +146,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
                 ok[i] = True
 
 
-@njit(cache=True)
+@njit
 def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     m = T.shape[0]
     q = np.zeros((m, BRANCHES, 6))
@@ -156,7 +156,7 @@ def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ok
 
 
-@njit(cache=True)
+@njit
 def _poses(p: Array, q: Array) -> Array:
     a2, a3, d4, d5 = p[0], p[1], p[2], p[3]
     T_base_shoulder = inverse_of(p[16:32])
@@ -185,7 +185,7 @@ def _poses(p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _branches(p: Array, q: Array) -> NDArray[np.int8]:
     out = np.empty(q.shape[0], dtype=np.int8)
     for i in range(q.shape[0]):
@@ -202,7 +202,7 @@ def _branches(p: Array, q: Array) -> NDArray[np.int8]:
     return out
 
 
-@njit(cache=True)
+@njit
 def _out_of_reach(p: Array, T: Array) -> Array:
     a2, a3, d4, d5 = p[0], p[1], p[2], p[3]
     out = np.empty(T.shape[0])

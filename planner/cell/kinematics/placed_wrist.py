@@ -217,7 +217,7 @@ def _out_of_flange(lines: JointAxes, T_base_flange: Array, centre: Array) -> Arr
 # Compiled: the arm of `spherical_wrist` between its two frames.
 
 
-@njit(cache=True)
+@njit
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, 6) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3)."""
     room, T = np.empty((2, 4, 4)), np.empty((4, 4))
@@ -229,7 +229,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
                 q[k, j] = wrap(p[7 + j] * (q[k, j] - p[13 + j]))
 
 
-@njit(cache=True)
+@njit
 def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     m = T.shape[0]
     q = np.zeros((m, BRANCHES, 6))
@@ -239,7 +239,7 @@ def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ok
 
 
-@njit(cache=True)
+@njit
 def _poses(p: Array, q: Array) -> Array:
     T_base_foot, T_end_flange = inverse_of(p[19:35]), inverse_of(p[35:51])
     out = np.empty((q.shape[0], 4, 4))
@@ -251,7 +251,7 @@ def _poses(p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _branches(p: Array, q: Array) -> NDArray[np.int8]:
     out = np.empty(q.shape[0], dtype=np.int8)
     for i in range(q.shape[0]):

@@ -16,7 +16,7 @@ THIRD, SEVENTH = 2, 6  # the joints that can be given, counted from 0
 _ASIDE = 1e-8  # m by which rounding can move a point away from an axis that a straight elbow turns it about
 
 
-@inner_njit()
+@inner_njit
 def _euler(R: Array, first: Array) -> None:
     """Fill first (3) with the angles of R = Rz(first0) Ry(first1) Rz(first2), first1 >= 0; first0 = 0 if straight."""
     sine = np.sqrt(R[0, 2] * R[0, 2] + R[1, 2] * R[1, 2])
@@ -27,14 +27,14 @@ def _euler(R: Array, first: Array) -> None:
     first[2] = np.arctan2(c * R[1, 0] - s * R[0, 0], c * R[1, 1] - s * R[0, 1])
 
 
-@inner_njit()
+@inner_njit
 def _identity(A: Array) -> None:
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
             A[i, j] = 1.0 if i == j else 0.0
 
 
-@inner_njit()
+@inner_njit
 def _times_ry(R: Array, angle: float) -> None:
     """R (3, 3) becomes R Ry(angle)."""
     s, c = np.sin(angle), np.cos(angle)
@@ -42,7 +42,7 @@ def _times_ry(R: Array, angle: float) -> None:
         R[i, 0], R[i, 2] = c * R[i, 0] - s * R[i, 2], s * R[i, 0] + c * R[i, 2]
 
 
-@inner_njit()
+@inner_njit
 def _times_rz(R: Array, angle: float) -> None:
     """R (3, 3) becomes R Rz(angle)."""
     s, c = np.sin(angle), np.cos(angle)
@@ -50,7 +50,7 @@ def _times_rz(R: Array, angle: float) -> None:
         R[i, 0], R[i, 1] = c * R[i, 0] + s * R[i, 1], c * R[i, 1] - s * R[i, 0]
 
 
-@inner_njit()
+@inner_njit
 def _wrist_centre(p: Array, given: float, F: Array, W: Array) -> None:
     """Fill W (3) with the wrist in the shoulder's frame; F (4, 4), the frame on axis 7, is turned back by theta_7
     where that is given."""
@@ -60,7 +60,7 @@ def _wrist_centre(p: Array, given: float, F: Array, W: Array) -> None:
         W[i] = F[i, 3] - p[4] * F[i, 0] - p[5] * F[i, 1]
 
 
-@inner_njit()
+@inner_njit
 def _elbow_of(p: Array) -> tuple[float, float, float]:
     """Constant and amplitude of |SW|^2 = constant + amplitude cos(theta_4 - middle), and the middle."""
     a3, d3, a4, d5 = p[0], p[1], p[2], p[3]
@@ -68,7 +68,7 @@ def _elbow_of(p: Array) -> tuple[float, float, float]:
     return a3 * a3 + d3 * d3 + a4 * a4 + d5 * d5, np.sqrt(cosine * cosine + sine * sine), np.arctan2(sine, cosine)
 
 
-@njit(cache=True)
+@njit
 def solve_one(p: Array, given: float, R: Array, t: Array, q: Array, ok: Flags) -> None:
     """Fill q (8, 7) and ok (8) with the postures for one flange pose, rotation R (3, 3) and origin t (3), with the
     redundant joint's angle given."""
@@ -93,7 +93,7 @@ def solve_one(p: Array, given: float, R: Array, t: Array, q: Array, ok: Flags) -
             _given_third(p, given, F, W, th4, wx, wz, q[i : i + 4], ok[i : i + 4])
 
 
-@inner_njit()
+@inner_njit
 def _given_seventh(
     p: Array, given: float, G: Array, W: Array, th4: float, wx: float, wz: float, q: Array, ok: Flags
 ) -> None:
@@ -130,7 +130,7 @@ def _given_seventh(
             ok[i] = True
 
 
-@inner_njit()
+@inner_njit
 def _given_third(
     p: Array, given: float, F: Array, W: Array, th4: float, wx: float, wz: float, q: Array, ok: Flags
 ) -> None:
@@ -166,7 +166,7 @@ def _given_third(
             ok[i] = True
 
 
-@njit(cache=True)
+@njit
 def solve(p: Array, given: Array, T: Array) -> tuple[Array, Flags]:
     """All branches' joints (m, BRANCHES, 7) [rad] for flange poses T (m, 4, 4) in the arm's base, and which of them exist
     (m, BRANCHES). given (m): the redundant joint [rad]; p: see `solve_one`."""
@@ -178,7 +178,7 @@ def solve(p: Array, given: Array, T: Array) -> tuple[Array, Flags]:
     return q, ok
 
 
-@njit(cache=True)
+@njit
 def poses(p: Array, q: Array) -> Array:
     """Flange poses (n, 4, 4) in the arm's base at postures q (n, 7) [rad]."""
     T_base_shoulder = inverse_of(p[13:29])
@@ -203,7 +203,7 @@ def poses(p: Array, q: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def branches(p: Array, q: Array) -> NDArray[np.int8]:
     """Branches (n) of postures q (n, 7) [rad], as `solve` numbers them."""
     _, _, middle = _elbow_of(p)
@@ -227,7 +227,7 @@ def branches(p: Array, q: Array) -> NDArray[np.int8]:
     return out
 
 
-@njit(cache=True)
+@njit
 def out_of_reach(p: Array, given: Array, T: Array) -> Array:
     """How far (n) [m] the wrist centre of flange poses T (n, 4, 4) is out of reach, with the redundant joint given (n) [rad];
     0 within reach."""

@@ -78,19 +78,19 @@ class _Curve(NamedTuple):
     side: float
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _dot(a: Array, b: Array) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _cross(a: Array, b: Array, out: Array) -> None:
     out[0] = a[1] * b[2] - a[2] * b[1]
     out[1] = a[2] * b[0] - a[0] * b[2]
     out[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _turned(axis: Array, c: float, s: float, v: Array, out: Array) -> None:
     """Fill out (3) with v turned about a unit axis by the angle of cosine c and sine s."""
     along = (1.0 - c) * _dot(axis, v)
@@ -99,19 +99,19 @@ def _turned(axis: Array, c: float, s: float, v: Array, out: Array) -> None:
     out[2] = c * v[2] + s * (axis[0] * v[1] - axis[1] * v[0]) + along * axis[2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _transposed_times(R: Array, v: Array, out: Array) -> None:
     for i in range(3):
         out[i] = R[0, i] * v[0] + R[1, i] * v[1] + R[2, i] * v[2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _times(R: Array, v: Array, out: Array) -> None:
     for i in range(3):
         out[i] = R[i, 0] * v[0] + R[i, 1] * v[1] + R[i, 2] * v[2]
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _on(curve: _Curve, theta: float) -> tuple[float, float]:
     """Angle of joint 1 and sign of w's third part at a place of a curve."""
     if not curve.closed:
@@ -120,7 +120,7 @@ def _on(curve: _Curve, theta: float) -> tuple[float, float]:
     return 0.5 * (low + high) - 0.5 * (high - low) * np.cos(theta), 1.0 if np.sin(theta) >= 0.0 else -1.0
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _place(pose: _Pose, curve: _Curve, theta: float, out: Array) -> float:
     """Fill out (2, 10) with what both ways of joint 5 give at a place of a curve: g, cosines and sines of joints 4, 5, 6 and
     of the sum of 2 and 3; and room[11], room[12] with z, to which R2 turns p3 - p2. The angle of joint 1."""
@@ -184,7 +184,7 @@ def _place(pose: _Pose, curve: _Curve, theta: float, out: Array) -> float:
     return q1
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _posture(g: Array, q1: float, row: Array, z: Array, q: Array) -> None:
     """Fill q (6) with the joints of a place on a curve."""
     h2, p23 = g[H2 : H2 + 3], g[P23 : P23 + 3]
@@ -201,7 +201,7 @@ def _posture(g: Array, q1: float, row: Array, z: Array, q: Array) -> None:
     q[5] = np.arctan2(row[6], row[5])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _lines(g: Array, R: Array, X: Array, room: Array, lines: Array) -> None:
     """Fill lines (2, 3): a and b of w as a constant, and by cosine and sine of joint 1."""
     h1, h2 = g[H1 : H1 + 3], g[H2 : H2 + 3]
@@ -220,7 +220,7 @@ def _lines(g: Array, R: Array, X: Array, room: Array, lines: Array) -> None:
         lines[1, i] /= d
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _left(lines: Array, q1: float) -> float:
     """Square of the third part of w."""
     c, s = np.cos(q1), np.sin(q1)
@@ -229,7 +229,7 @@ def _left(lines: Array, q1: float) -> float:
     return 1.0 - a * a - b * b
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _slope(lines: Array, q1: float) -> float:
     """Its slope by q1, halved and negated."""
     c, s = np.cos(q1), np.sin(q1)
@@ -238,7 +238,7 @@ def _slope(lines: Array, q1: float) -> float:
     return a * (lines[0, 2] * c - lines[0, 1] * s) + b * (lines[1, 2] * c - lines[1, 1] * s)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _between(lines: Array, slope: bool, low: float, high: float) -> float:
     """A zero of `_left` or `_slope` between two places where its signs differ (bisection, to rounding)."""
     first = _slope(lines, low) if slope else _left(lines, low)
@@ -254,7 +254,7 @@ def _between(lines: Array, slope: bool, low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _intervals(lines: Array, ends: Array) -> tuple[int, bool]:
     """Fill ends (4, 2) with the intervals of joint 1 in which w exists; their number, or -1 if it always does, and whether
     one is about to begin, to end or to part.
@@ -295,7 +295,7 @@ def _intervals(lines: Array, ends: Array) -> tuple[int, bool]:
     return n, barely
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _far(one: Array, two: Array) -> bool:
     """Whether any angle differs by more than a step may."""
     for way in range(2):
@@ -305,7 +305,7 @@ def _far(one: Array, two: Array) -> bool:
     return False
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _steep(one: Array, two: Array) -> bool:
     """Whether g falls so much without a change of sign that there may be two zeros between."""
     for way in range(2):
@@ -315,7 +315,7 @@ def _steep(one: Array, two: Array) -> bool:
     return False
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _places(pose: _Pose, curve: _Curve, at: Array, rows: Array) -> tuple[int, bool]:
     """Fill at (n) and rows (n, 2, 10) with places all along a curve, as near to each other as the joints turn; n, and whether
     a joint turns too quickly for that."""
@@ -349,7 +349,7 @@ def _places(pose: _Pose, curve: _Curve, at: Array, rows: Array) -> tuple[int, bo
     return n, quick
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _keep(pose: _Pose, way: int, q1: float, count: int) -> int:
     """Make the posture of `pose.place` exact, and keep it if it can be and is a new one; how many there are."""
     q, p = pose.q, pose.p
@@ -372,7 +372,7 @@ def _keep(pose: _Pose, way: int, q1: float, count: int) -> int:
     return count + 1
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
     """Fill q (16, 6) with all postures, in (-pi, pi], for one flange pose, rotation (3, 3) and origin (3); their number.
 
@@ -398,7 +398,7 @@ def all_postures(p: Array, R_flange: Array, t_flange: Array, q: Array) -> int:
     return count
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _postures(p: Array, beside: Array, asked: Array, q: Array, count: int) -> tuple[int, bool]:
     """Add to q the postures of a pose (4, 3), rotation and origin, made exact for another one; their number, and whether a
     joint is nearly open."""
@@ -437,7 +437,7 @@ def _postures(p: Array, beside: Array, asked: Array, q: Array, count: int) -> tu
     return count, open_
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _zero(
     pose: _Pose, curve: _Curve, way: int, at: tuple[float, float], values: tuple[float, float], count: int
 ) -> int:
@@ -466,7 +466,7 @@ def _zero(
     return _keep(pose, way, q1, count)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _pair(
     pose: _Pose, curve: _Curve, way: int, at: tuple[float, float, float], values: tuple[float, float, float], count: int
 ) -> int:
@@ -519,7 +519,7 @@ def _pair(
 # Which slot a posture has: its label, and of postures of one label the less singular one first.
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def label_of(p: Array, q: Array, lines: Array, T: Array, J: Array, A: Array) -> tuple[int, float]:
     """Label of a posture q (6), and |det| of its Jacobian; lines (2, 6, 3), T (4, 4), J, A (6, 6) are room.
 
@@ -552,7 +552,7 @@ def label_of(p: Array, q: Array, lines: Array, T: Array, J: Array, A: Array) -> 
     return label, abs(det)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _determinant(J: Array, A: Array) -> float:
     """Determinant of J (6, 6); A (6, 6) is room."""
     for i in range(6):
@@ -578,7 +578,7 @@ def _determinant(J: Array, A: Array) -> float:
     return det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (16, 6) and ok (16) with the postures for one flange pose, rotation R (3, 3) and origin t (3).
 
@@ -609,7 +609,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
             ok[slot] = True
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def solve_all(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Postures (m, 16, 6) of flange poses (m, 4, 4), and which exist (m, 16)."""
     m = T.shape[0]
@@ -619,7 +619,7 @@ def solve_all(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ok
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def slots_of(p: Array, T: Array, q: Array) -> NDArray[np.int8]:
     """Slots (m) of postures q (m, 6), whose flange poses are T (m, 4, 4): of the nearest of all postures of the pose."""
     out = np.empty(q.shape[0], dtype=np.int8)

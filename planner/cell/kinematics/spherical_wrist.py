@@ -22,7 +22,7 @@ Ten = tuple[float, float, float, float, float, float, float, float, float, float
 _SINGULAR = 1e-12  # m, m^2 or sine: what must not vanish is no more than rounding
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def sines_of(q: Array) -> Ten:
     """Sine and cosine of joint 1, joint 2, theta_2 + theta_3, joint 4, and joint 5 of a posture q (6)."""
     theta23 = q[1] + q[2] + 0.5 * np.pi
@@ -32,7 +32,7 @@ def sines_of(q: Array) -> Ten:
     )  # fmt: skip
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
     """Fill out (6, 6): the twist of a joint's rate, linear part first; arguments as in `inverse_jacobian`."""
     a1, a2, b, c1, c2, c3 = p[0], p[1], p[2], p[3], p[4], p[5]
@@ -57,7 +57,7 @@ def jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> None:
         out[3, j], out[4, j], out[5, j] = co1 * d_r - s1 * d_t, s1 * d_r + co1 * d_t, d_z
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def inverse_jacobian(p: Array, sines: Ten, tip: Array, out: Array) -> bool:
     """Fill out (6, 6): rates of the joints for a twist, linear part first; it is in the arm's base frame.
 
@@ -180,7 +180,7 @@ class SphericalWrist(SixJoints):
         return np.minimum(*gaps)
 
 
-@njit(cache=True)
+@njit
 def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> None:
     """Fill q (8, 6), each angle in (-pi, pi], and ok (8) with all postures for one flange pose: see `solve_within`."""
     solve_within(p, R, t, np.full(6, -ALL_ROUND), np.full(6, ALL_ROUND), np.ones(8, np.bool_), q, ok)
@@ -190,7 +190,7 @@ def solve_one(p: Array, R: Array, t: Array, q: Array, ok: NDArray[np.bool_]) -> 
                 q[i, j] = wrap(q[i, j])
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def solve_within(
     p: Array, R: Array, t: Array, low: Array, high: Array, wanted: NDArray[np.bool_], q: Array, ok: NDArray[np.bool_]
 ) -> None:
@@ -257,14 +257,14 @@ def solve_within(
                     ok[j] = True
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _may_stand(angle: float, low: float, high: float) -> bool:
     """Whether an angle, turned as near to the middle as whole turns bring it, lies within a range."""
     away = angle - 0.5 * (low + high)
     return abs(away - TURN * np.rint(away / TURN)) <= 0.5 * (high - low)
 
 
-@njit(cache=True)
+@njit
 def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     m = T.shape[0]
     q = np.zeros((m, BRANCHES, 6))
@@ -274,7 +274,7 @@ def _solve(p: Array, T: Array) -> tuple[Array, NDArray[np.bool_]]:
     return q, ok
 
 
-@inner_njit()
+@inner_njit
 def pose_one(p: Array, q: Array, T: Array) -> None:
     """Fill T (4, 4) with the flange pose of one posture q (6)."""
     a1, a2, b, c1, c2, c3, c4 = p[0], p[1], p[2], p[3], p[4], p[5], p[6]
@@ -303,7 +303,7 @@ def pose_one(p: Array, q: Array, T: Array) -> None:
     T[3, 0], T[3, 1], T[3, 2], T[3, 3] = 0.0, 0.0, 0.0, 1.0
 
 
-@njit(cache=True)
+@njit
 def _poses(p: Array, q: Array) -> Array:
     out = np.empty((q.shape[0], 4, 4))
     for i in range(q.shape[0]):
@@ -311,7 +311,7 @@ def _poses(p: Array, q: Array) -> Array:
     return out
 
 
-@inner_njit()
+@inner_njit
 def branch_of(p: Array, q: Array) -> int:
     """Branch number of one posture q (6)."""
     a1, a2, c2, c3 = p[0], p[1], p[4], p[5]
@@ -328,7 +328,7 @@ def branch_of(p: Array, q: Array) -> int:
     return behind
 
 
-@njit(cache=True)
+@njit
 def _branches(p: Array, q: Array) -> NDArray[np.int8]:
     out = np.empty(q.shape[0], dtype=np.int8)
     for i in range(q.shape[0]):

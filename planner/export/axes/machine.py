@@ -318,7 +318,7 @@ def chosen(ways: Ways, machine: Machine, t: Array, laid: Flags, quat: Array) -> 
     return angles
 
 
-@njit(cache=True)
+@njit
 def _cheapest(table: Array, endless: Flags, laid: Flags) -> Indices:
     """Which candidate (n) of each sample lies on the way that turns least."""
     n, count, axes = table.shape

@@ -30,7 +30,7 @@ def _late(way: Array, keep: float, moving: bool) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def _lagging(way: Array, keep: float, start: Array, out: Array) -> None:
     """Fill `out` (k, n) with what follows a way (k, n) late, a tick before it at a start (n): of each tick a share of 1 - keep.
 

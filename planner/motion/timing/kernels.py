@@ -43,7 +43,7 @@ class OfLimits(NamedTuple):
     jerk: Array
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _rows_of(limits: LimitRows, at: slice, on: slice, ends: slice) -> LimitRows:
     """The rows of some points, intervals and ends."""
     acceleration, jerk = limits.acceleration[at], limits.jerk[ends]
@@ -52,7 +52,7 @@ def _rows_of(limits: LimitRows, at: slice, on: slice, ends: slice) -> LimitRows:
     )
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _values_of(values: OfLimits, at: slice, ends: slice) -> OfLimits:
     """The values of the limits at some points and ends."""
     return OfLimits(values.x[at], values.acceleration[at], values.jerk[ends])
@@ -62,7 +62,7 @@ def _values_of(values: OfLimits, at: slice, ends: slice) -> OfLimits:
 # Least and mean of values around each place of a row of places: compiled.
 
 
-@njit(cache=True, nogil=True)
+@njit
 def least_nearby(values: Array, at: Array, reach: float) -> Array:
     """Least of values (n) whose places `at` (n), which never fall, are within `reach` of each place's own."""
     n = len(values)
@@ -82,7 +82,7 @@ def least_nearby(values: Array, at: Array, reach: float) -> Array:
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def mean_nearby(values: Array, at: Array, reach: float) -> Array:
     """Means of values (n) whose places `at` (n), which never fall, are within `reach` of each place's own."""
     n = len(values)
@@ -111,7 +111,7 @@ _TO_BOUNDARY = 0.99  # share of the way to the nearest limit that a step may go
 _POSITIVE = 0.9  # share of the way to rest that a step may go
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     """Lower lengths (m), in place, until they change slowly; sums (m + 1) and mins (m) are room."""
     m = len(lengths)
@@ -127,7 +127,7 @@ def even_out(lengths: Array, sums: Array, mins: Array) -> None:
     average(mins, np.int64(APART // 2), sums, lengths)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def average(values: Array, half: int, sums: Array, out: Array) -> None:
     """Fill out (m) with the means of values (m) over `half` neighbours to both sides; sums (m + 1) is room."""
     m = len(values)
@@ -139,14 +139,14 @@ def average(values: Array, half: int, sums: Array, out: Array) -> None:
         out[i] = (sums[high] - sums[low]) / (high - low)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _falls(mu: float, ds: float, slack: float, dual: float) -> tuple[float, float]:
     """By which share of itself a slack falls in a full step that changes it by ds, and its dual."""
     fall = -ds / slack
     return fall, 1.0 - fall - mu / (slack * dual)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def lengths_of(
     c: Array,
     step: Array,
@@ -202,7 +202,7 @@ def lengths_of(
         primal_lengths[i], dual_lengths[i] = _TO_BOUNDARY / primal_lengths[i], _TO_BOUNDARY / dual_lengths[i]
 
 
-@inner_njit()
+@inner_njit
 def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None:
     """Go along the step of c, in place, as far as lengths (m) say; where x would not stay positive, they become the
     least of them, as which it does."""
@@ -219,7 +219,7 @@ def go(c: Array, step: Array, middle: Array, end: Array, lengths: Array) -> None
         lengths[:] = lengths.min()
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def move(
     primal: Array, dual: Array, mu: Array, steps: Array, slacks: Array, duals: Array, places: int, gaps: Array
 ) -> None:  # fmt: skip
@@ -243,7 +243,7 @@ def move(
 # Blocks of intervals that are settled or not, and where the limits of places stand among all: compiled.
 
 
-@inner_njit()
+@inner_njit
 def runs_of(unsettled: NDArray[np.bool_], m: int) -> list[tuple[int, int]]:
     """First interval, and the one after the last, of runs of neighbouring blocks that are unsettled."""
     out = []
@@ -258,7 +258,7 @@ def runs_of(unsettled: NDArray[np.bool_], m: int) -> list[tuple[int, int]]:
     return out
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def limits_of(
     at: slice, ends: slice, m: int, nj: int
 ) -> tuple[tuple[slice, int], tuple[slice, int], tuple[slice, int]]:
@@ -272,14 +272,14 @@ def limits_of(
     )
 
 
-@inner_njit()
+@inner_njit
 def split(flat: Array, m: int, nj: int) -> OfLimits:
     """One value for each side of each limit, all in a row (count), seen as those of x, acceleration and jerk."""
     first, last = m + 1, (m + 1) * (1 + 2 * nj)
     return OfLimits(flat[:first], flat[first:last].reshape((m + 1, nj, 2)), flat[last:].reshape((2 * m, nj, 2)))
 
 
-@inner_njit()
+@inner_njit
 def overrun(room: Array, slack: Array) -> float:
     """Largest share of a limit by which there is less room than slack."""
     worst = -np.inf
@@ -321,7 +321,7 @@ _KEPT = 0.1  # of the overrun that a solution may have
 _LEAST_GAP = 0.05  # of what the accuracy leaves to a limit: where less is left there is nothing to gain
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def fastest(
     limits: LimitRows, start: Array, level: tuple[bool, bool], accuracy: float, wanted: NDArray[np.bool_]
 ) -> tuple[Array, bool]:
@@ -405,7 +405,7 @@ def fastest(
     return c, False
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _time(c: Array, middle: Array, h: Array) -> float:
     """The time that all intervals take."""
     time = 0.0
@@ -414,7 +414,7 @@ def _time(c: Array, middle: Array, h: Array) -> float:
     return time
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
     """Room below every limit, on either side, into `rooms`."""
     point, middle, end, a, j, ceiling, _ = limits
@@ -432,7 +432,7 @@ def _rooms(c: Array, limits: LimitRows, rooms: OfLimits) -> None:
             rooms.acceleration[i, k, 0], rooms.acceleration[i, k, 1] = 1.0 - value, 1.0 + value
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, float]:
     """What a limit adds to the matrix, per square of its gradient, and to the right-hand side, per gradient."""
     inverse = 1.0 / slack
@@ -440,7 +440,7 @@ def _weights(mu: float, room: float, slack: float, dual: float) -> tuple[float, 
     return w, mu * inverse - w * (room - slack)
 
 
-@inner_njit(error_model="numpy")
+@inner_njit
 def _assemble(
     c: Array,
     limits: LimitRows,
@@ -532,7 +532,7 @@ def _assemble(
         band[i + 1, 1] += b01
 
 
-@inner_njit()
+@inner_njit
 def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
     """Make the outermost two coefficients one variable, where x has to leave the grid with slope 0."""
     m = len(rhs) - 2
@@ -548,7 +548,7 @@ def _keep_level(level: tuple[bool, bool], rhs: Array, band: Array) -> None:
         rhs[m + 1], band[m + 1, 0], band[m + 1, 1], band[m + 1, 2] = 0.0, 1.0, 0.0, 0.0
 
 
-@inner_njit()
+@inner_njit
 def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
     """Leave the outermost two coefficients where they are, at the ends where the grid goes on: settled intervals see
     them too."""
@@ -562,7 +562,7 @@ def _hold(ends: tuple[bool, bool], rhs: Array, band: Array) -> None:
             rhs[i], band[i, 0], band[i, 1], band[i, 2] = 0.0, 1.0, 0.0, 0.0
 
 
-@inner_njit()
+@inner_njit
 def _solve(band: Array, rhs: Array) -> bool:
     """Solve in place by Cholesky's method; False if the matrix is not positive definite.
 

@@ -53,7 +53,7 @@ def curve_of(spline: BSpline) -> PiecewiseCurve:
     return PiecewiseCurve(np.append(t[spans], t[spans[-1] + 1]), coefficients)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> Array:
     """Coefficients (n, degree + 1, k) as in `PiecewiseCurve` between knots t[i] and t[i + 1], i of spans (n).
 
@@ -92,7 +92,7 @@ def _polynomials(t: Array, c: Array, degree: int, spans: NDArray[np.int64]) -> A
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def derivatives_at(breaks: Array, coefficients: Array, u: Array, orders: int) -> Array:
     """Values and derivatives (1 + orders, m, k) at places u (m), of a curve as `PiecewiseCurve` has it; orders: at most 3.
 
@@ -181,7 +181,7 @@ class Leg:
         return _nominal(sigma, self.end, self.first, self.last, self.ramps, self.lasts)
 
 
-@inner_njit()
+@njit
 def _nominal(
     sigma: Array, length: float, first: float, last: float, ramps: tuple[float, float], lasts: tuple[float, float]
 ) -> Array:
@@ -203,7 +203,7 @@ def _nominal(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _chain(rates: Array, u1: Array, u2: Array, u3: Array) -> None:
     """Derivatives by u (orders, k, columns) become those by sigma, in place, with those of u by sigma (k)."""
     orders, k, columns = rates.shape
@@ -438,7 +438,7 @@ def _basis(left: Array, right: Array, h: Array, f: float) -> tuple[Array, Array,
     return x, slope, bend
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _jerk_rows(basis: tuple[Array, Array, Array], rates: Array, limit: Array) -> Array:
     """Jerk over sqrt(x) from c[i : i + 3], as a share of its limit (nj), (m, nj, 3); rates (3, m, nj + 1)."""
     m, joints = rates.shape[1], len(limit)
@@ -464,7 +464,7 @@ def overruns(program: LegLimits, c: Array) -> tuple[Array, Array, Array]:
     return worst[0], worst[1], worst[2]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _raise_worst(
     f: float, rates: Array, c: Array, h: Array, left: Array, right: Array, v: Array, a: Array, j: Array, worst: Array
 ) -> None:
@@ -631,7 +631,7 @@ def _profile(leg: Leg, program: LegLimits, c: Array) -> Profile:
     return Profile(leg, sigma, x, times)
 
 
-@inner_njit()
+@inner_njit
 def _lasts(h: float, x: Array, f: float) -> float:
     """Time from an interval's start to its fraction f: the integral of h / sqrt(x)."""
     total = 0.0
@@ -641,7 +641,7 @@ def _lasts(h: float, x: Array, f: float) -> float:
     return 0.5 * f * h * total
 
 
-@njit(cache=True)
+@njit
 def _durations(h: Array, x: Array) -> Array:
     """Time (k) that each interval takes."""
     out = np.empty(len(h))
@@ -650,7 +650,7 @@ def _durations(h: Array, x: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _when(t: Array, sigma: Array, x: Array, times: Array) -> Array:
     """Sigma (k) at times t (k), by Newton's method in the interval of each."""
     out = np.empty(len(t))

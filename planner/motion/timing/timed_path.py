@@ -192,7 +192,7 @@ def bound_time(cell: Cell, path: JointPath, moving: tuple[bool, bool] = (False, 
     return total
 
 
-@inner_njit()
+@inner_njit
 def _accelerations(
     x: float, i: int, low: float, high: float, slopes: Array, bends: Array, a_max: Array, step: float
 ) -> tuple[float, float]:
@@ -215,7 +215,7 @@ def _accelerations(
     return least, most
 
 
-@njit(cache=True)
+@njit
 def fastest_without_jerk(
     slopes: Array, bends: Array, ceiling: Array, a_max: Array, step: float, free_start: bool, free_end: bool
 ) -> Array:

@@ -129,7 +129,7 @@ class TravelClearance(ReadOnlyArrays):
         return most
 
 
-@njit(cache=True)
+@njit
 def _needed(points: Array, tips: Array, gaps: Array, full: float, floor: float) -> Array:
     """Distances (k, n) from the surface that nozzle points (k, n, 3) must keep, never less than `floor` [m]."""
     k, n, _ = points.shape
@@ -142,7 +142,7 @@ def _needed(points: Array, tips: Array, gaps: Array, full: float, floor: float) 
     return out
 
 
-@njit(cache=True)
+@njit
 def _left_open(points: Array, needed: Array, least: Array, before: int, stride: int) -> tuple[Ints, Ints]:
     """Which of every `stride`-th instant's points lack distance for all that is known: their rows and columns.
 
@@ -165,7 +165,7 @@ def _left_open(points: Array, needed: Array, least: Array, before: int, stride: 
     return rows[:found], columns[:found]
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _apart(a: Array, b: Array) -> float:
     return np.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
 

@@ -90,7 +90,7 @@ def resting(bounds: Bounds, a: Array, b: Array, least: float = 0.0) -> Cubics:
     return Cubics(*_resting(bounds.velocity, bounds.acceleration, bounds.jerk, a, b, least))
 
 
-@njit(cache=True)
+@njit
 def time_beside(bounds: Array, caps: Array, taken: Array, duration: float, vias: Array) -> float:
     """Least duration [s] of a move from rest to rest that leaves time for another one, over vias (k, na).
 
@@ -112,7 +112,7 @@ def time_beside(bounds: Array, caps: Array, taken: Array, duration: float, vias:
     return high
 
 
-@inner_njit()
+@inner_njit
 def _needed(bounds: Array, caps: Array, taken: Array, rate: float, vias: Array) -> float:
     n = bounds.shape[1]
     left, way, phases = np.empty((3, n)), np.empty(n), np.empty(7)
@@ -132,7 +132,7 @@ def _needed(bounds: Array, caps: Array, taken: Array, rate: float, vias: Array) 
     return total
 
 
-@inner_njit()
+@inner_njit
 def _sum(phases: Array) -> float:
     total = 0.0
     for k in range(len(phases)):
@@ -140,7 +140,7 @@ def _sum(phases: Array) -> float:
     return total
 
 
-@inner_njit()
+@inner_njit
 def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: Array) -> float:
     """Fill out (7) with the durations of the phases from rest to rest over `way` (nj); the jerk of the share of it,
     0 for no way."""
@@ -163,7 +163,7 @@ def _phases(velocity: Array, acceleration: Array, jerk: Array, way: Array, out: 
     return j
 
 
-@njit(cache=True)
+@njit
 def _resting(
     velocity: Array, acceleration: Array, jerk: Array, a: Array, b: Array, least: float
 ) -> tuple[Array, Array]:
@@ -219,7 +219,7 @@ def _constant_jerk(profile: ruckig.Profile) -> list[list[float]]:
     ]
 
 
-@inner_njit()
+@inner_njit
 def _in_order(breaks: list[float]) -> Array:
     """Breakpoints in order, each once: at least two; by insertion, for there are a few dozen at most."""
     times = np.zeros(len(breaks))
@@ -237,7 +237,7 @@ def _in_order(breaks: list[float]) -> Array:
     return times[: max(n, 2)].copy()
 
 
-@njit(cache=True)
+@njit
 def _common(profiles: Array, duration: float) -> tuple[Array, Array]:
     """Breakpoints (m + 1) of all joints and coefficients (4, m, nj) from profiles (nj, 5, k), see `_constant_jerk`."""
     nj, _, k = profiles.shape

@@ -166,7 +166,7 @@ def reaching(cell: Cell, q: Array, tips: Array) -> Array:
     return _reaching(arm.placements, arm.axes, arm.T_last_tip, q[:, :na].copy(), goal, limits / limits.max())
 
 
-@njit(cache=True)
+@njit
 def _reaching(placements: Array, axes: Array, T_last_tip: Array, q: Array, goal: Array, weight: Array) -> Array:
     """Postures q (m, na) moved to tip positions goal (m, 3) by Newton's method, joints weighted by weight (na)."""
     near = q.copy()

@@ -82,7 +82,7 @@ def march(points: Array, triangles: Ints, start: Array) -> Array:
     return _march(points, triangles, order // 3, first, start)
 
 
-@njit(cache=True)
+@njit
 def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Array) -> Array:
     value = start.copy()
     done = np.zeros(len(points), dtype=np.bool_)
@@ -119,7 +119,7 @@ def _march(points: Array, triangles: Ints, around: Ints, first: Ints, start: Arr
     return value
 
 
-@inner_njit()
+@inner_njit
 def _through(a: Array, b: Array, at_a: float, at_b: float) -> float:
     """Distance at the third corner of a triangle for a straight front that passed the other two.
 

@@ -103,7 +103,7 @@ def along_surface(surface: SampledSurface, links: csr_array, start: Ints) -> Arr
     return way
 
 
-@njit(cache=True)
+@njit
 def improve(order: Ints, distance: Array) -> Ints:
     """The order (n,) of an open tour, improved until no such move shortens it; distance (n, n) symmetric.
 
@@ -137,7 +137,7 @@ def improve(order: Ints, distance: Array) -> Ints:
     return tour
 
 
-@inner_njit()
+@inner_njit
 def _move(tour: Ints, distance: Array, i: int, size: int, least: float) -> bool:
     """Move tour[i : i + size] to where it costs least, either way round, if that shortens the tour."""
     n = len(tour)

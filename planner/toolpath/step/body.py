@@ -98,7 +98,7 @@ class RimArrays(NamedTuple):
     first: Ints
 
 
-@inner_njit()
+@inner_njit
 def _crossings(u: float, v: float, uv: Array, following: Ints, first: int, last: int) -> bool:
     """Even-odd rule."""
     odd = False
@@ -111,7 +111,7 @@ def _crossings(u: float, v: float, uv: Array, following: Ints, first: int, last:
     return odd
 
 
-@njit(cache=True)
+@njit
 def _within(places: Array, uv: Array, following: Ints, first: int, last: int) -> Raster:
     out = np.zeros(len(places), dtype=np.int8)
     for i in range(len(places)):
@@ -120,7 +120,7 @@ def _within(places: Array, uv: Array, following: Ints, first: int, last: int) ->
     return out
 
 
-@inner_njit()
+@inner_njit
 def is_inside(face: int, u: float, v: float, rims: RimArrays) -> bool:
     """Whether a place lies within the loops of a face; its raster answers, or the even-odd rule."""
     low, high, raster = rims.low, rims.high, rims.raster
@@ -133,7 +133,7 @@ def is_inside(face: int, u: float, v: float, rims: RimArrays) -> bool:
     return _crossings(u, v, rims.uv, rims.next, rims.first[face], rims.first[face + 1])
 
 
-@njit(cache=True)
+@njit
 def all_inside(face: Ints, uv: Array, rims: RimArrays) -> NDArray[np.bool_]:
     """The same for parameters (n, 2) of faces (n)."""
     out = np.zeros(len(uv), dtype=np.bool_)
@@ -150,7 +150,7 @@ _ASIDE = 1e-8  # m, by which a perpendicular may miss a point
 _TINY = 1e-300
 
 
-@inner_njit()
+@inner_njit
 def _perpendicular(x: Array, d: Array) -> bool:
     """Whether a place with derivatives d (6, 3) is the foot of a perpendicular from x (3), and not where a search ended."""
     gu = gv = a = b = 0.0
@@ -163,7 +163,7 @@ def _perpendicular(x: Array, d: Array) -> bool:
     return abs(gu) <= _ASIDE * np.sqrt(a) and abs(gv) <= _ASIDE * np.sqrt(b)
 
 
-@njit(cache=True)
+@njit
 def settle(
     points: Array,
     faces: Ints,
@@ -209,7 +209,7 @@ class SampleArrays(NamedTuple):
     points: Array
 
 
-@njit(cache=True, nogil=True)
+@njit
 def signed(
     points: Array,
     near: Ints,

@@ -147,7 +147,7 @@ class SplineSet(ReadOnlyArrays):
         return np.column_stack([mean - apart, mean + apart])
 
 
-@inner_njit()
+@inner_njit
 def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
     """Index i of the knot below u, p <= i < n: the last and the first span go on beyond."""
     low, high = p, n
@@ -160,7 +160,7 @@ def _span(u: float, knots: Array, first: int, p: int, n: int) -> int:
     return low
 
 
-@inner_njit()
+@inner_njit
 def _basis(u: float, span: int, knots: Array, first: int, p: int, out: Array) -> None:
     """B-splines of degree p that are not 0 in a span, with two derivatives: out (3, p + 1).
 
@@ -211,7 +211,7 @@ def _basis(u: float, span: int, knots: Array, first: int, p: int, out: Array) ->
             out[2, k] -= p * slope[k] / width
 
 
-@inner_njit()
+@inner_njit
 def _evaluate(face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, out: Array) -> None:
     """Fill the value and derivatives by u, v, uu, uv, vv (6, 3) of a surface."""
     p, q, fu, fv, fp, nu, nv = (
@@ -253,7 +253,7 @@ def _evaluate(face: int, u: float, v: float, knots: Array, poles: Array, table: 
         out[5, k] = (h[5, k] - 2.0 * h[2, 3] * sv - h[5, 3] * s) / w
 
 
-@njit(cache=True)
+@njit
 def _derivatives(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints) -> Array:
     out = np.empty((len(uv), 6, 3))
     for i in range(len(uv)):
@@ -261,7 +261,7 @@ def _derivatives(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints)
     return out
 
 
-@inner_njit()
+@inner_njit
 def fill_normal(
     face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, domain: Array, out: Array
 ) -> None:
@@ -286,7 +286,7 @@ def fill_normal(
         out[k] /= max(size, _TINY)
 
 
-@njit(cache=True)
+@njit
 def _normals(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints, domain: Array) -> Array:
     out = np.empty((len(uv), 3))
     for i in range(len(uv)):
@@ -294,7 +294,7 @@ def _normals(face: Ints, uv: Array, knots: Array, poles: Array, table: Ints, dom
     return out
 
 
-@inner_njit()
+@inner_njit
 def foot_of(
     x: Array, face: int, u: float, v: float, knots: Array, poles: Array, table: Ints, domain: Array, d: Array
 ) -> tuple[float, float]:

@@ -116,7 +116,7 @@ def _morton(points: Array) -> NDArray[np.uint64]:
     return code
 
 
-@inner_njit()
+@inner_njit
 def _box_gap(p: Array, low: Array, high: Array) -> float:
     """Squared distance of a point (3) from a box."""
     square = 0.0
@@ -126,7 +126,7 @@ def _box_gap(p: Array, low: Array, high: Array) -> float:
     return square
 
 
-@inner_njit()
+@inner_njit
 def _facet_gap(p: Array, t: Array) -> float:
     """Squared distance of a point (3) from a facet (3, 3); after Ericson, Real-Time Collision Detection, 5.1.5."""
     d1 = d2 = d3 = d4 = d5 = d6 = 0.0
@@ -163,7 +163,7 @@ def _facet_gap(p: Array, t: Array) -> float:
     return square
 
 
-@njit(cache=True)
+@njit
 def _distance(points: Array, corners: Array, low: Array, high: Array) -> Array:
     n, first_leaf = len(corners), len(low) // 2
     out = np.empty(len(points))
@@ -194,7 +194,7 @@ def _distance(points: Array, corners: Array, low: Array, high: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _top(plane: Array, corners: Array, normals: Array, low: Array, high: Array) -> tuple[Array, Ints]:
     n, first_leaf = len(corners), len(low) // 2
     out, found = np.full(len(plane), np.nan), np.full(len(plane), -1, dtype=np.int64)
@@ -320,7 +320,7 @@ def fit(samples: Array, weights: Array, low: Array, high: Array, step: float) ->
     return HeightField(low.copy(), step, solved.reshape(shape) + middle)
 
 
-@inner_njit()
+@inner_njit
 def _value(x: float, y: float, corner: Array, step: float, c: Array, basis: Array, out: Array) -> None:
     """Fill f and its derivatives by x, y, xx, xy, yy (6) at a place that is held within the rectangle."""
     u = min(max((x - corner[0]) / step, 0.0), c.shape[0] - 5.0)
@@ -351,7 +351,7 @@ def _value(x: float, y: float, corner: Array, step: float, c: Array, basis: Arra
         out[5] += 2.0 * bx[0, a] * fyy / step**2
 
 
-@njit(cache=True)
+@njit
 def _values(plane: Array, corner: Array, step: float, c: Array, basis: Array) -> Array:
     out = np.empty((len(plane), 6))
     for i in range(len(plane)):
@@ -359,7 +359,7 @@ def _values(plane: Array, corner: Array, step: float, c: Array, basis: Array) ->
     return out
 
 
-@njit(cache=True)
+@njit
 def _nearest(points: Array, corner: Array, step: float, c: Array, basis: Array) -> Array:
     """Newton's method for the nearest place; where the surface bends away from it, steps of the distance alone."""
     out = np.empty((len(points), 2))

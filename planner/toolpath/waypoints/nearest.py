@@ -92,7 +92,7 @@ def nearest_printed(tree: PrintedPoints, printed: int, points: Array, far: float
     return distance, index
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _nearest(tree: PrintedPoints, printed: int, points: Array, far: float, distance: Array, index: Ints) -> None:
     """Fill distance (n) and index (n) as `nearest_printed` tells."""
     leaves = len(tree.since) // 2
@@ -131,7 +131,7 @@ def _nearest(tree: PrintedPoints, printed: int, points: Array, far: float, dista
         distance[i], index[i] = np.sqrt(best), found
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(inline="always")
 def _outside(tree: PrintedPoints, box: int, point: Array) -> float:
     """Squared distance of a point (3) from a box, 0 inside; infinite from an empty one."""
     total = 0.0

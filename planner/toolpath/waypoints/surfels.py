@@ -104,7 +104,7 @@ class Surfels(Samples):
         return float(away[above & (away > 0.0)].min(initial=np.inf))
 
 
-@njit(cache=True)
+@njit
 def _from_discs(points: Array, nearest: Ints, centres: Array, outward: Array, radius: float) -> Array:
     """Distance (n) of points (n, 3) from the discs of index nearest (n), FAR where that is -1; negative inside a shell."""
     out = np.empty(len(points))
@@ -124,7 +124,7 @@ def _from_discs(points: Array, nearest: Ints, centres: Array, outward: Array, ra
     return out
 
 
-@njit(cache=True)
+@njit
 def _normals(points: Array, tips: Array, outward: Array, start: Ints, near: Array) -> Array:
     """Unit normals (n, 3) where the polynomials through six samples from `start` come nearest to points (n, 3).
 
