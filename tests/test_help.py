@@ -10,15 +10,15 @@ import pytest
 from rich.console import Console
 
 from planner.base.command_line import Command
+from planner.base.completion import parsers
 from planner.base.progress import Stages
 from planner.planning.options import solve_command
 from planner.problem.describe import columns, shipped
-from planner.reference.pages import commands
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.fixture(params=commands(), ids=lambda each: each.prog.removeprefix("python -m planner."))
+@pytest.fixture(params=parsers(), ids=lambda each: each.prog.removeprefix("python -m planner."))
 def command(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Command:
     monkeypatch.setenv("COLUMNS", "80")
     made: Command = request.param
@@ -48,7 +48,7 @@ def test_examples_are_taken(command: Command) -> None:
 
 def test_every_command_is_listed() -> None:
     """Whatever can be started with `python -m planner.` is on the page of commands."""
-    known = {each.prog.removeprefix("python -m planner.").split()[0] for each in commands()}
+    known = {each.prog.removeprefix("python -m planner.").split()[0] for each in parsers()}
     can = set()
     for path in sorted((ROOT / "planner").rglob("*.py")):
         if '__name__ == "__main__"' in path.read_text(encoding="utf-8"):

@@ -14,11 +14,11 @@ import pytest
 from numba.core import event
 
 from planner.base import compiled, extras, launch
+from planner.base.completion import script
 from planner.base.errors import InputError
 from planner.base.shipped import PROBLEMS, ROBOTS
 from planner.cell.robot import robot_names
 from planner.problem import shipped_problems
-from planner.reference.completion import script
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -105,15 +105,8 @@ def test_beadwise(
 
 def test_every_command_is_there() -> None:
     for name, command in launch.COMMANDS.items():
-        folder, file = ROOT / "planner" / name / "__main__.py", ROOT / "planner" / f"{name}.py"
-        assert (
-            folder.is_file()
-            or file.is_file()
-            or any(
-                (ROOT / "planner" / room / f"{name}.py").is_file()
-                for room in ("feedback", "link", "reference", "report")
-            )
-        )
+        rooms = (ROOT / "planner" / room for room in (".", "base", "feedback", "link", "report"))
+        assert (ROOT / "planner" / name / "__main__.py").is_file() or any((r / f"{name}.py").is_file() for r in rooms)
         assert (ROOT / f"{command.module.replace('.', '/')}.py").is_file()
 
 
@@ -129,7 +122,7 @@ def test_a_shell_completes_commands_whose_extras_are_missing() -> None:
     code = f"""
 import sys
 sys.modules.update(dict.fromkeys({sorted(extras.EXTRAS)}))
-from planner.reference.completion import main
+from planner.base.completion import main
 main(["bash"])
 """
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)

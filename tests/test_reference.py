@@ -11,6 +11,8 @@ from typing import Any
 import jsonschema
 import pytest
 
+from benchmarks.reference.__main__ import MADE, main
+from benchmarks.reference.fields import example_of, meaning, sections, shipped_examples, values
 from planner.base.errors import InputError
 from planner.base.rapid_names import LONGEST_NAME
 from planner.base.shipped import PROBLEMS, ROBOTS
@@ -20,23 +22,23 @@ from planner.problem import Problem, load_problem, shipped_problems
 from planner.problem.fields import described
 from planner.problem.overrides import apply_overrides, parse_override
 from planner.problem.yaml_file import parse_yaml, read_problem_file, read_yaml_file
-from planner.reference.command import FILES
-from planner.reference.fields import example_of, meaning, sections, shipped_examples, values
-from planner.reference.generate import TEXTS, main
 
 ROOT = Path(__file__).resolve().parents[1]
 MODELINE = "# yaml-language-server: $schema=../docs/problem.schema.json"
 
 
-@pytest.mark.parametrize("what", FILES)
+@pytest.mark.parametrize("what", MADE)
 def test_what_is_committed_is_what_is_made(what: str) -> None:
-    told = "python -m planner.reference all"
-    assert (ROOT / "docs" / FILES[what]).read_text(encoding="utf-8") == TEXTS[what](), told
+    told = "python -m benchmarks.reference all"
+    file, make = MADE[what]
+    assert (ROOT / "docs" / file).read_text(encoding="utf-8") == make(), told
 
 
 def test_the_command_writes_and_prints_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["all", "--out", str(tmp_path)]) == 0
-    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")) == sorted(FILES.values())
+    assert sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.*")) == sorted(
+        file for file, _ in MADE.values()
+    )
     capsys.readouterr()
     assert main(["robot-schema"]) == 0
     assert json.loads(capsys.readouterr().out)["title"] == "Beadwise robot file"
@@ -46,7 +48,7 @@ def test_the_command_writes_and_prints_them(tmp_path: Path, capsys: pytest.Captu
 
 @cache
 def schema(what: str) -> jsonschema.Draft7Validator:
-    made = json.loads(TEXTS[what]())
+    made = json.loads(MADE[what][1]())
     jsonschema.Draft7Validator.check_schema(made)
     return jsonschema.Draft7Validator(made)
 
@@ -161,7 +163,7 @@ def test_every_field_has_meaning_values_and_an_example_that_is_taken() -> None:
 
 
 def test_every_key_is_on_its_page() -> None:
-    page, robots = TEXTS["problem"](), TEXTS["robot"]()
+    page, robots = MADE["problem"][1](), MADE["robot"][1]()
     for model, _ in sections():
         for one in described(model).values():
             assert f"| `{one.key}` |" in page

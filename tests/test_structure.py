@@ -13,7 +13,7 @@ SOURCES = ROOT / "planner"
 # Rooms of planner/ in layers: a room imports from those in layers before its own, and from itself.
 LAYERS = (
     "base", "problem", "cell", "toolpath", "collision", "resolve", "plan", "motion", "verify", "export report", "planning",
-    "solve check robots new place register feedback view link simulate reference",
+    "solve check robots new place register feedback view link simulate",
 )  # fmt: skip
 # Packages that only some commands or problems need, or that are slow to import: the modules that may name them.
 HEAVY = {

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.reference.fields import sections
+from planner.base.completion import parsers
 from planner.plan.measures import CHECKS
 from planner.problem.fields import described
-from planner.reference.fields import sections
-from planner.reference.pages import commands
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
@@ -58,5 +58,5 @@ def test_fields_and_options_are_there() -> None:
     fields = set(FIELD.findall(PAGE))
     assert len(fields) > 25
     assert fields <= known
-    options = {name for each in commands() for action in each._actions for name in action.option_strings}
+    options = {name for each in parsers() for action in each._actions for name in action.option_strings}
     assert set(re.findall(r"`(--[a-z-]+)", PAGE)) <= options

@@ -49,8 +49,7 @@ COMMANDS = {
     "stream": CommandModule("planner.link.streaming", "send moves to a controller while it runs them"),
     "egm": CommandModule("planner.link.guided_motion", "send joints to a controller by externally guided motion"),
     "simulate": CommandModule("planner.simulate.command", "simulators of controllers and extruder boards"),
-    "completion": CommandModule("planner.reference.completion", "a script with which a shell completes these commands"),
-    "reference": CommandModule("planner.reference.generate", "JSON schemas and reference pages, made from the code"),
+    "completion": CommandModule("planner.base.completion", "a script with which a shell completes these commands"),
 }
 
 

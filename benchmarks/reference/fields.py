@@ -7,20 +7,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from benchmarks.reference.examples import EXAMPLES
+from benchmarks.reference.markdown import table
+from benchmarks.reference.schema import TOLD_BY
 from planner.cell.robot_file import KEYS
 from planner.problem import Problem, find_problem, shipped_problems
 from planner.problem.fields import Described, Model, Section, described
 from planner.problem.layers import KINDS
 from planner.problem.yaml_file import read_problem_file, yaml_text
-from planner.reference.examples import EXAMPLES
-from planner.reference.markdown import table
-from planner.reference.schema import TOLD_BY
 
 LONGEST_EXAMPLE = 70  # characters
 _HEAD = """\
 # The problem file
 
-*Made by `python -m planner.reference` from the models that read the file; do not edit.*
+*Made by `python -m benchmarks.reference` from the models that read the file; do not edit.*
 
 A problem is one YAML file. Lengths are millimetres, angles degrees, times seconds and temperatures degrees Celsius, \
 as the names of the keys say. Files that it names are counted from its own folder. A key that is not known is \
@@ -34,7 +34,7 @@ A key without a default must be there. `NAME` stands for a name of your own.
 _ROBOT_HEAD = """\
 # The robot file
 
-*Made by `python -m planner.reference`; do not edit.*
+*Made by `python -m benchmarks.reference`; do not edit.*
 
 What a URDF cannot say of a robot stands in a YAML file: `robots/<name>.yaml` of those that ship, or a file of your \
 own, which the problem names in `cell.arm`, `cell.base.robot` or `cell.positioner.robot`. [A robot of your own](../own_robot.md) shows \

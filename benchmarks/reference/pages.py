@@ -4,37 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from planner.base.command_line import Command
+from benchmarks.reference.markdown import table
+from planner.base.completion import parsers
 from planner.export.plan_json import DIP_KEYS, KEYS, SPLIT_KEYS
-from planner.feedback.identify_command import (
-    extruder_read_command,
-    extruder_write_command,
-    identify_read_command,
-    identify_write_command,
-)
-from planner.feedback.learn_command import learn_command
-from planner.feedback.scan_command import scan_command
-from planner.link.command import link_command
-from planner.link.guided_motion import egm_command
-from planner.link.streaming import stream_command
-from planner.new.command import new_command
-from planner.place.command import place_command
 from planner.plan.measures import CHECKS, COLUMNS, METRICS, Measure
-from planner.planning.check_command import check_command
-from planner.planning.options import solve_command
-from planner.reference.command import completion_command, reference_command
-from planner.reference.markdown import table
-from planner.register.command import register_command
-from planner.report.demo import demo_command
-from planner.robots.command import add_command
-from planner.robots.listing import robots_command
-from planner.simulate.command import simulate_command
-from planner.view.options import view_command
 
 _METRICS_HEAD = """\
 # Metrics, checks and columns
 
-*Made by `python -m planner.reference` from the tables beside the code; do not edit.*
+*Made by `python -m benchmarks.reference` from the tables beside the code; do not edit.*
 
 A plan is written as `plan.json`, and its motion sample by sample as `trajectory.csv`. The verifier finds metrics \
 and checks from the joints of the motion alone, by the robots' URDF files.
@@ -42,7 +20,7 @@ and checks from the joints of the motion alone, by the robots' URDF files.
 _COMMANDS_HEAD = """\
 # Commands
 
-*Made by `python -m planner.reference` from the commands themselves; do not edit.*
+*Made by `python -m benchmarks.reference` from the commands themselves; do not edit.*
 
 All commands print their result on stdout, and progress and errors on stderr. A pipe gets no progress bars and no \
 colours; `NO_COLOR` switches colours off on a terminal, too.
@@ -91,20 +69,9 @@ def names(given: Mapping[str, str]) -> str:
     return table(("key", "meaning"), [[f"`{name}`", text] for name, text in given.items()])
 
 
-def commands() -> tuple[Command, ...]:
-    """The parsers of all commands."""
-    makers = (
-        demo_command, solve_command, check_command, new_command, view_command, place_command, register_command,
-        scan_command, learn_command, identify_write_command, identify_read_command, extruder_write_command,
-        extruder_read_command, robots_command, add_command, link_command,
-        stream_command, egm_command, simulate_command, completion_command, reference_command,
-    )  # fmt: skip
-    return tuple(make() for make in makers)
-
-
 def commands_page() -> str:
     """The page of all commands."""
     parts = [
-        f"## {each.prog.removeprefix('python -m ')}\n\n```text\n{each.page().rstrip()}\n```\n" for each in commands()
+        f"## {each.prog.removeprefix('python -m ')}\n\n```text\n{each.page().rstrip()}\n```\n" for each in parsers()
     ]
     return "\n".join([_COMMANDS_HEAD, *parts])
