@@ -175,6 +175,16 @@ def test_all_nozzles_are_obstacles_where_they_are_together_and_only_the_own_one_
             assert (f"nozzle of {other}" in names) == beside
 
 
+def test_a_search_that_keeps_the_head_clear_does_so_for_each_nozzle(tmp_path: Path) -> None:
+    problem = load_problem(write_small(tmp_path, *TWO))
+    cell = build_cell(problem)
+    obstacles = obstacles_of(problem, cell, planner.planning.pipeline.build_toolpath(problem))
+    pva = obstacles.counting_head.for_nozzle(cell, cell.at("pva"))
+    assert pva.but_head_on_part is pva
+    usual = obstacles.for_nozzle(cell, cell.at("pva"))
+    assert len(usual.but_head_on_part.table.look) < len(usual.table.look)
+
+
 @pytest.mark.slow
 def test_slack_at_the_tip_is_that_of_the_nozzle_which_lays_the_bead() -> None:
     plan = two_nozzles()

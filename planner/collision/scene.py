@@ -219,7 +219,7 @@ class Obstacles:
 
     def of(self, cell: Cell) -> Obstacles:
         """The same obstacles where the cell's holder or part stand elsewhere."""
-        return self if self.around is None else _assembled(cell, self.around)
+        return self if self.around is None else replace(_assembled(cell, self.around), head_counts=self.head_counts)
 
     def for_nozzle(self, cell: Cell, own: Cell) -> Obstacles:
         """The same obstacles, which are those of a cell, where it has another nozzle in use: its `own` cell."""

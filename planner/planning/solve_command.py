@@ -58,7 +58,7 @@ def _run(options: argparse.Namespace, errors: Console) -> int:
         strategy = options.strategy or problem.strategy
         folder = options.out or Path("out") / resumed_name(problem.name, options.from_bead)
         if options.out is None and (other := plan_of_another(folder, problem)):
-            words = f"note: {folder} has the plan of {other}, which this one replaces: --out names another folder"
+            words = f"note: {folder} has the plan of {other}; the results of this run will replace it: --out names another folder"
             errors.print(words, markup=False, soft_wrap=True)
         # first of all: a folder that cannot be written, and a scheduler that does not answer, are told at once
         with results_folder(folder, RESULTS_BY, told.append) as fresh, crew(options.jobs, options.scheduler) as over:
